@@ -53,7 +53,8 @@ def save_untrained(path: Path, width: int = 8, **model: object) -> Path:
                  "cloth": {"woven": {"membrane": [200.0, 2000.0], "shear": [170.0, 175.0],
                                      "curl": 5.0}},
                  "hysteresis": [5.0, 60.0], "curl_specimen": 1.0}}
-    generation = {"sampling": {"seed": 999, "starts": ["sine", "fold"]},
+    generation = {"sampling": {"seed": 999, "starts": ["sine", "fold"],
+                               "testers": [], "random_testers": 1.0, "rectangles": 0.0},
                   "prior": prior["fabrics"], "solver": {"edge_mm": 8.0}}
     save_checkpoint(path, model=make_network(**model), half=False, description={
         "model": model, "targets": {"mean": targets.tolist(), "std": deviations},

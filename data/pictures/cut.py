@@ -164,8 +164,9 @@ def cut_cloth(
     border |= cv2.dilate(view.unseen.astype(np.uint8), np.ones((3, 3)))[inside[:, 1],
                                                                         inside[:, 0]] > 0
     if border.mean() > MAX_CUT_OFF:
-        raise InputError("the drape reaches beyond the border of the picture; take it again with "
-                         f"the whole hem in the picture, and {check}")
+        raise InputError("the drape reaches beyond the border of the picture, or beyond a specimen "
+                         "of the stated size; take it again with the whole hem in the picture, and "
+                         f"{check}")
     pixel = along[1] - along[0]
     places = middle + along[0] * np.array([1, -1]) + pixel * hem * [1, -1]
     line = mapped(places, to_pixels)

@@ -153,6 +153,13 @@ class Header(Excerpt):
                 f"tester {rig.name}: the network {self.path.name} has learned squares and discs of "
                 f"{DIAMETERS[0]:g} mm and more, no rectangles; give a specimen that it knows, or "
                 "the checkpoint of a network that was trained on rectangles")
+        drawn = [one["sampling"] for one in self.dataset.generation]
+        named = {Rig.from_name(name) for one in drawn for name in one["testers"]}
+        if rig not in named and not any(one["random_testers"] + one["rectangles"] for one in drawn):
+            raise InputError(
+                f"tester {rig.name}: the network {self.path.name} has learned drapes on "
+                f"{', '.join(sorted(one.name for one in named))} alone; give a specimen that it "
+                "knows, or the checkpoint of a network that was trained with dataset=testers")
 
     def require_input(self, kind: Input) -> None:
         """InputError for a capture of a kind that the network was not trained on."""

@@ -48,6 +48,7 @@ _VALIDATION_BATCH = 128
 _SCALES = np.geomspace(1.0, 3.0, 12).tolist()
 _CALIBRATED = 16  # sets of each fabric
 _DRAWN = 500  # samples of each of their posteriors
+LEAST_CALIBRATING = 20  # fabrics
 _APART = 1 << 40  # of numbers of fabrics and drapes of several datasets
 
 
@@ -292,9 +293,10 @@ def describe(
 
 def calibrate(checkpoint: Path, captures: CaptureSet, config: TrainConfig) -> None:
     """Add to a ``checkpoint`` the scales of its deviations, fitted on ``captures`` of fabrics that
-    it has not learned; none to one that has them, when a finished training is run again."""
+    it has not learned; none to one that has them, when a finished training is run again, and none
+    by fewer than :data:`LEAST_CALIBRATING` fabrics, of which the scales would be noise."""
     header = read_header(checkpoint)
-    if header.calibrated:
+    if header.calibrated or len(captures) < LEAST_CALIBRATING:
         return
     model = load_model(header)
     rng = np.random.default_rng(config.seed)

@@ -12,6 +12,7 @@ from benchmarks.estimators import coefficient_alone
 from benchmarks.protocol import CASES, estimates, read_cases, score
 from common.errors import InputError
 from data.captures.capture import DepthCapture, OutlineCapture
+from drapenet.network.checkpoint import read_header
 
 FOLDER = CASES.parent
 
@@ -89,7 +90,9 @@ def test_an_estimator_is_named_by_module_and_function(tmp_path, monkeypatch):
 
 
 def test_the_page_has_the_table_that_the_command_prints():
-    scores = json.loads((FOLDER / "scores.json").read_text("utf-8"))
+    content = json.loads((FOLDER / "scores.json").read_text("utf-8"))
+    scores = content["scores"]
+    assert content["weights_sha256"] == read_header().sha256, "of weights that are not bundled"
     assert tuple(scores) == (*ESTIMATORS, "truth")
     assert table_of(scores) in (FOLDER / "README.md").read_text("utf-8")
     for kind, found in scores[ESTIMATORS[0]].items():

@@ -32,6 +32,11 @@ export function look(content, delay = DELAY) {
   clearTimeout(timer);
   next = content;
   fresh ||= !delay;
+  if (content && !delay) { // another picture: what was said of the last one is not of it
+    at('seen-refusal').textContent = '';
+    at('seen-warnings').replaceChildren();
+    svg.toggleAttribute('hidden', true);
+  }
   if (content) timer = setTimeout(read, delay);
   else show(null);
 }
