@@ -54,7 +54,7 @@ def table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
 
 def markdown(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     """Markdown table without aligned columns."""
-    lines = [list(head), *rows]
+    lines = [[*head], *(list(row) for row in rows)]
     lines.insert(1, ["---"] * len(lines[0]))
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 

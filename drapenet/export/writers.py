@@ -157,7 +157,8 @@ def _mujoco(file: File) -> dict[str, bytes]:
         "faces": " ".join(map(str, faces.ravel())), "pins": " ".join(map(str, range(FLEX_COLUMNS))),
         "friction": f' friction="{friction!r} 0.005 0.0001"' if friction is not None else "",
         "mass": repr(file.given["mass"]), "radius": repr(file.given["radius"]),
-        "thickness": repr(file.given["elasticity.thickness"]), "young": "{young}", "version": "{version}"})
+        "thickness": repr(file.given["elasticity.thickness"]),
+        "young": "{young}", "version": "{version}"})
     young, second = file.given["elasticity.young"], f"{Path(file.name).stem}_4.xml"
     return {name: text.replace("{young}", repr(value)).replace("{version}", version).encode()
             for name, value, version in ((file.name, young, "3.12"),

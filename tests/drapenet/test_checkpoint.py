@@ -202,7 +202,8 @@ def test_seen_fabrics_are_refused_before_they_are_made(untrained_checkpoint, tmp
     copy = Path(shutil.copy(untrained_checkpoint, tmp_path / "copy.safetensors"))
     dataset = description(copy)["dataset"]
     sampling = dataset["generation"][0]["sampling"] | {"seed": 5}
-    dataset["generation"].insert(0, {"sampling": sampling, "prior": prior_content(load_prior("vae"))})
+    dataset["generation"].insert(0, {"sampling": sampling,
+                                     "prior": prior_content(load_prior("vae"))})
     change_description(copy, dataset=dataset)
     monkeypatch.setattr(drapenet.network.evaluate, "generate_dataset", None)
     words = [f"checkpoint={copy}", f"out={tmp_path}", "seed=5", "testers=[disc300_support180]"]
