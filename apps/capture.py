@@ -67,7 +67,7 @@ def main(config: CaptureConfig) -> None:
     """Write the capture and its picture, and print its checks; or write a mat or a board."""
     if config.mat:
         file = Path(config.out or f"mat_{config.mat}.pdf")
-        if file.suffix.lower() != ".pdf":
+        if file.suffix.lower() not in ("", ".pdf"):
             raise InputError(f"out={file}: a mat is a PDF; give a name that ends in .pdf")
         replace_file(file, mat_pages(config.mat, config.paper or config.mat, config.ground))
         clear = MATS[config.mat].clear if config.mat in MATS else None

@@ -134,9 +134,13 @@ class Likeness:
         """All by name; ``differences`` are words."""
         percent = {name: 100 * float(np.expm1(value)) for name, value in self.apart.items()}
         return {
-            "fabric": self.fabric.name, "place": self.fabric.place, "source": self.fabric.source,
-            "density_g_m2": 1e3 * self.fabric.density, "alike": self.verdict,
-            "probability": self.probability, "highest": self.highest,
+            "fabric": self.fabric.name,
+            "place": self.fabric.place,
+            "source": self.fabric.source,
+            "density_g_m2": 1e3 * self.fabric.density,
+            "alike": self.verdict,
+            "probability": self.probability,
+            "highest": self.highest,
             "differences": ", ".join(
                 f"{name.replace('_', ' ')} {value:+.0f}" for name, value in percent.items()) + " %",
             **{f"{name}_difference_percent": value for name, value in percent.items()},

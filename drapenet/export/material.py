@@ -215,12 +215,16 @@ class Material:
         if outside and curvature > DRAPE_CURVATURE:  # up to there drapes show what it stands for
             found.append(Finding("curvature_outside_law", {"value": curvature}))
         return {
-            "made_by": "drapenet", "name": self.name, "estimate_sha256": self.identity,
+            "made_by": "drapenet",
+            "name": self.name,
+            "estimate_sha256": self.identity,
             "source": capture.get("source") or capture.get("sources"),
-            "density_g_m2": capture["density_g_m2"], "directions": content["convention"],
+            "density_g_m2": capture["density_g_m2"],
+            "directions": content["convention"],
             "rig": capture["rig"],
             "drape_coefficient_percent": self.captured["captured_percent"],
-            "moduli": content["moduli"], "modulus_at_curvature_1_m": curvature,
+            "moduli": content["moduli"],
+            "modulus_at_curvature_1_m": curvature,
             "modulus_over_alpha": (self.modulus / self.alpha).round(3).tolist(),
             "not_known": self.not_known, "assumed": texts([*document.assumed, *(
                 Finding("stretch_usual", {"what": BESIDE[key], "value": value})

@@ -41,9 +41,20 @@ FLAT, BENT = (ALPHA + part * CURVATURE * BETA for part in (0.5, 1.5))
 TRUTH = {f"{name}_{axis}": value for name, row in (
     ("drape", IN_A_DRAPE), ("flat", FLAT), ("share", BENT / FLAT)) for axis, value in zip(
         DIRECTIONS, row, strict=True)} | {
-    "alpha": ALPHA, "beta": BETA, "mean": MEAN_IN_A_DRAPE, "weight": DENSITY, "warp": 900.0,
-    "weft": 400.0, "both": [900.0, 400.0], "aniso": [400.0, 900.0, 35.0], "stretch": 650.0,
-    "shear": 35.0, "thickness": 0.42e-3, "half": 0.21e-3, "friction": 0.31}
+    "alpha": ALPHA,
+    "beta": BETA,
+    "mean": MEAN_IN_A_DRAPE,
+    "weight": DENSITY,
+    "warp": 900.0,
+    "weft": 400.0,
+    "both": [900.0, 400.0],
+    "aniso": [400.0, 900.0, 35.0],
+    "stretch": 650.0,
+    "shear": 35.0,
+    "thickness": 0.42e-3,
+    "half": 0.21e-3,
+    "friction": 0.31,
+}
 """Of the fabric of which all is known, in SI units."""
 FIELDS = yaml.safe_load(Path(__file__).with_name("fields.yaml").read_text("utf-8"))
 """Fields that are a quantity, in their unit."""

@@ -143,7 +143,7 @@ def test_the_warp_and_the_flat_specimen_are_lines_in_the_picture(client):
 
 
 def test_rectangles_have_two_sides_and_the_warps_hint_follows_the_mat(client):
-    page, script = client.get("/").text, client.get("/static/form.js").text
+    page, script = client.get("/").text, client.get("/static/questions.js").text
     assert '<option value="rectangle_cylinder">' in page and 'id="across"' in page
     for name in ("warp-mat", "warp-picture", "warp-name"):
         assert f'id="{name}"' in page and f"at('{name}')" in script
