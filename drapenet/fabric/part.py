@@ -7,6 +7,7 @@ read, not made again. A refusal is kept, too, with what its source states of the
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -244,7 +245,7 @@ def _of_record(
     folder: Path | None,
 ) -> Part:
     """The estimate from strips or values: that of usual fabrics where they say nothing."""
-    record = measured.record(fabric_prior(header))
+    record = measured.record(partial(fabric_prior, header))
     assert record, "of what the network does not read"
     estimate = combine(prior_draws(header), evidence_of([record], [], measured.density),
                        measured.density, header, name="")

@@ -7,7 +7,7 @@ import os
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -158,7 +158,7 @@ def observe(measured: Measured, header: Header, *, strict: bool = False) -> Capt
     observed = measured.observed()
     assert observed, "only of what the network reads"
     capture = observed.capture
-    record = measured.record(fabric_prior(header))
+    record = measured.record(partial(fabric_prior, header))
     records = (record,) if record else ()
     result = CaptureEstimate(observed, header, infer(observed, header, records), records)
     with of(capture.path):

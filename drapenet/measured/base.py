@@ -5,7 +5,7 @@ it, from which it is joined with others.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -31,6 +31,8 @@ from drapenet.views.observation import Observation
 
 D = TypeVar("D", bound="Described")
 M = TypeVar("M", bound="Measured")
+Prior = Callable[[], ClothProperties]
+"""Draws the usual fabrics, which takes a second: for kinds whose evidence needs them."""
 INTERVALS = {"interval_68": 0.68, "interval_90": 0.90}
 Text = InstanceOf[str]
 """A text that may hold a path, whose bytes need not be UTF-8."""
@@ -279,9 +281,9 @@ class Measured:
         """What the network reads; None if it is not for the network."""
         return None
 
-    def record(self, prior: ClothProperties) -> Record | None:
-        """What is recorded, evidence with respect to a ``prior`` of fabrics; None if the network
-        reads all of it."""
+    def record(self, prior: Prior) -> Record | None:
+        """What is recorded, evidence with respect to a ``prior``; None if the network reads all of
+        it."""
         return None
 
     def findings(self, observed: Observed | None, setups: Setups) -> list[Finding]:

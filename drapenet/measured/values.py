@@ -10,9 +10,8 @@ from pydantic import model_validator
 from common.files import printable
 from data.captures.capture import ReportedCapture
 from data.captures.description import WeighedPiece
-from data.fabrics.fabrics import ClothProperties
 from data.readings.known import Reported
-from drapenet.measured.base import Observed, Record
+from drapenet.measured.base import Observed, Prior, Record
 from drapenet.measured.captures import observe
 from drapenet.measured.tension.description import TensionDescription
 from drapenet.measured.tension.folder import TensionSet, described_strips
@@ -85,7 +84,7 @@ class ValueSet(TensionSet):
     def observed(self) -> Observed | None:
         return observe(self.capture) if self.capture else None
 
-    def record(self, prior: ClothProperties) -> Record | None:  # type: ignore[override]
+    def record(self, prior: Prior) -> Record | None:  # type: ignore[override]
         known = None if self.capture else self.known  # which the capture has
         if self.alone:
             return super().record(prior).model_copy(update={"known": known})

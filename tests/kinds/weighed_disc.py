@@ -9,8 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from common.files import printable
-from data.fabrics.fabrics import ClothProperties
-from drapenet.measured.base import Described, Measured, Quantity, Record, intervals
+from drapenet.measured.base import Described, Measured, Prior, Quantity, Record, intervals
 
 FILE = "disc.yaml"
 BALANCE = 0.01  # g, standard deviation of a reading
@@ -71,7 +70,7 @@ class WeighedDisc(Measured):
         found = DiscDescription.in_folder(place)
         return cls(**found.common(place), error=density(BALANCE, found.diameter_mm))
 
-    def record(self, prior: ClothProperties) -> DiscRecord:
+    def record(self, prior: Prior) -> DiscRecord:
         """The density, of which the stiffness is not known better."""
         samples = np.random.default_rng(0).normal(1e3 * self.density, self.error, 4000)
         return DiscRecord.model_validate({

@@ -12,9 +12,8 @@ from common.files import printable
 from common.findings import Finding
 from common.normal import Normal
 from common.types import DeflectionCurve, Metres, Radians
-from data.fabrics.fabrics import ClothProperties
 from drapenet.evidence.state import prior_along
-from drapenet.measured.base import Measured, intervals
+from drapenet.measured.base import Measured, Prior, intervals
 from drapenet.measured.strips.description import FILE, StripsDescription, read_description
 from drapenet.measured.strips.photograph import PhotographedStrip, read_strip
 from drapenet.measured.strips.posterior import BendingLength, StripEvidence, direction_evidence
@@ -60,9 +59,9 @@ class StripSet(Measured):
         """Whether all three directions were photographed."""
         return set(self.curves) == set(DIRECTIONS)
 
-    def record(self, prior: ClothProperties) -> StripsRecord:
+    def record(self, prior: Prior) -> StripsRecord:
         moduli = {}
-        for direction, strip in self.evidence(prior_along(prior, self.density)).items():
+        for direction, strip in self.evidence(prior_along(prior(), self.density)).items():
             alpha, beta = strip.samples()
             moduli[direction] = {
                 "alpha_uN_m": intervals(alpha / MICRO), "beta_nN_m2": intervals(beta / NANO),

@@ -12,11 +12,10 @@ from common.errors import InputError
 from common.files import printable
 from common.findings import Finding
 from data.captures.description import Weighed
-from data.fabrics.fabrics import ClothProperties
 from data.pictures.mat import BAR
 from data.readings.quantity import STANDARD_GRAVITY
 from data.render.setups import Setups
-from drapenet.measured.base import Measured, Observed, Record, intervals
+from drapenet.measured.base import Measured, Observed, Prior, Record, intervals
 from drapenet.measured.tension.description import (
     MAX_EXTENSION,
     READING,
@@ -75,7 +74,7 @@ class TensionSet(Measured):
         """What the strips say, at the density of the fabric."""
         return tension_evidence(self.strips, self.density, self.stiffness)
 
-    def record(self, prior: ClothProperties) -> TensionRecord:
+    def record(self, prior: Prior) -> TensionRecord:
         """The stiffnesses, which the prior of bending says nothing of."""
         found = self.evidence
         warp, weft, shear = found.stiffness
