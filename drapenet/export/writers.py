@@ -198,8 +198,17 @@ def _torque(file: File) -> dict[str, bytes]:
 
 
 WRITERS: dict[str, Callable[[File], dict[str, bytes]]] = {
-    "json": _json, "u3m": _u3m, "usd": _usd, "toml": _toml, "yaml": _yaml, "script": _script,
-    "mujoco": _mujoco, "page": _page, "cards": _cards, "table": _table, "torque": _torque}
+    "json": _json,
+    "u3m": _u3m,
+    "usd": _usd,
+    "toml": _toml,
+    "yaml": _yaml,
+    "script": _script,
+    "mujoco": _mujoco,
+    "page": _page,
+    "cards": _cards,
+    "table": _table,
+    "torque": _torque}
 """The files' bytes by name, the named file first."""
 
 
