@@ -124,12 +124,12 @@ def _toml(file: File) -> dict[str, bytes]:
     frame = _framed(file)
     lines = [f"[{_quoted(file.material.name)}]"] * bool(frame)
     lines += [f"{key} = {_quoted(value)}" for key, value in (frame | file.given).items()]
-    return {file.name: ("\n".join([*_comments(file.about), *lines]) + "\n").encode()}
+    return {file.name: ("\n".join([*lines, "", *_comments(file.about)]) + "\n").encode()}
 
 
 def _yaml(file: File) -> dict[str, bytes]:
     lines = yaml.safe_dump(file.given, sort_keys=False)
-    return {file.name: ("\n".join([*_comments(file.about), lines])).encode()}
+    return {file.name: ("\n".join([lines, *_comments(file.about)]) + "\n").encode()}
 
 
 def _script(file: File) -> dict[str, bytes]:
