@@ -138,8 +138,9 @@ def _read(
     source: Source, folder: Path | None, header: Header, options: EstimateOptions
 ) -> Part | Refusal | Measured:
     """The part of a source that is stored, or the source as it is read, or why it is refused."""
-    place = _place(source, folder)
-    if place and (stored := stored_part(source, place, part_key(source, header, options))):
+    place, named = _place(source, folder), isinstance(source.place, Path)  # no arrays or values
+    if place and named and (stored := stored_part(
+            source, place, part_key(source, header, options))):
         return stored
     try:
         return source.read()

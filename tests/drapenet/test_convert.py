@@ -82,6 +82,8 @@ def test_a_bench_is_a_file_for_the_command(tmp_path, capsys):
     assert card["fFriction"] == pytest.approx(0.445, abs=1e-3) and 3e6 < card["fSuK"] < 5e6
     page = (tmp_path / "out/report.html").read_text("utf-8")
     assert "20 °C, conditioned (h): ISO 139" in page and "Twill 7" in page
+    main([f"values={tmp_path}", f"out={tmp_path / 'out'}", "weight_g=2.4", "export="])
+    assert "at 240 g/m²" in capsys.readouterr().out  # nothing stored of the values before
 
 
 def test_conditions_of_captures_are_joined():

@@ -109,7 +109,8 @@ class TensionDescription(Described):
     fast_e100_warp_percent: Percent = Field(None, description="E100 of FAST-3")
     fast_e100_weft_percent: Percent = Field(None, description="E100 of FAST-3")
     stretch_warp_n_per_m: float | None = Field(
-        None, ge=10, le=1e5, description="stretch stiffness along the warp, of any other tester")
+        None, ge=10, le=1e5,
+        description="stretch stiffness along the warp, of any tester; 1000 g/s² of CLO are 1 N/m")
     stretch_weft_n_per_m: float | None = Field(
         None, ge=10, le=1e5, description="the same along the weft")
     shear_n_per_m: float | None = Field(
