@@ -11,6 +11,7 @@ import numpy as np
 
 from common.files import replace_json
 from common.provenance import package_versions, processor
+from drapenet.network.checkpoint import read_header
 
 ROOT = Path(__file__).resolve().parents[1]
 REPORTS = ROOT / "docs" / "validation"
@@ -20,12 +21,13 @@ Report = dict[str, Any]
 
 
 def machine() -> dict:
-    """Processor, number of cores and versions of packages."""
+    """Processor, number of cores, versions of packages, and the bundled weights."""
     return {
         "processor": processor(),
         "cores": os.cpu_count(),
         "python": platform.python_version(),
         **package_versions("numpy", "numba", "scipy", "torch"),
+        "weights_sha256": read_header().sha256,
     }
 
 

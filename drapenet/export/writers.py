@@ -59,7 +59,11 @@ def _u3m(file: File) -> dict[str, bytes]:
     identity = uuid.UUID(bytes=bytes.fromhex(file.material.identity[:32]), version=4)
     main = {"schema": "1.1", "custom": None, "material": {
         "id": str(identity), "name": label, "description": "bending by DrapeNet",
-        "created": moment, "modified": moment, "front": None, "back": None, "side": None,
+        "created": moment,
+        "modified": moment,
+        "front": None,
+        "back": None,
+        "side": None,
         "metadata": None, "physics": {
             "thickness": given.get("thickness"), "weight": given["mass"],
             "devices": {"fab": measured}, "composition": None, "material_type": None,
