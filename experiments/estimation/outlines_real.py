@@ -16,12 +16,12 @@ import numpy as np
 from common.documents import read_arrays
 from common.types import Outline
 from data.dataset.off_axis import silhouette
-from data.fabrics.fabrics import fabric_from_theta
+from data.fabrics.fabrics import fabric_from_theta, from_theta
 from data.fabrics.nuisances import Nuisances
 from experiments.report import Report
 from experiments.study import CaseKeys, Study, samples_of
 from sim.draping import drape
-from sim.material import LINEAR
+from sim.material import DRAPE_CURVATURE, LINEAR, secant
 from sim.outlines import coefficient_of_area, folds_around
 from sim.rig import DISC_RIG
 
@@ -69,7 +69,9 @@ def run(keys: Keys) -> Report:
         middle = np.array([np.column_stack(
             [part.cloth.theta, part.cloth.curl, np.log(part.cloth.membrane),
              part.cloth.hysteresis]).mean(axis=0) for part in draws])
-        report[name] = _agreement(rows, log_alpha, middle[:, 6:8].mean(axis=1)) | _drapes(
+        drape_stiffness = np.array([np.log(secant(
+            DRAPE_CURVATURE, *from_theta(part.cloth.theta))).mean(axis=0) for part in draws])
+        report[name] = _agreement(rows, log_alpha, drape_stiffness) | _drapes(
             rows, middle, real, keys)
     return report
 
@@ -89,9 +91,11 @@ def radii_of(curve: Outline) -> np.ndarray:
 
 
 def _agreement(
-    rows: Sequence[tuple[int, int, bool, list[int]]], log_alpha: np.ndarray, curl: np.ndarray
+    rows: Sequence[tuple[int, int, bool, list[int]]], log_alpha: np.ndarray,
+    drape_stiffness: np.ndarray,
 ) -> dict[str, Any]:
-    """Median ratios of alpha, and how often the nearest other sample is of the same fabric."""
+    """Median ratios of alpha, and how often the other sample whose stiffness in a drape along the
+    three directions (N, 3), a logarithm, is nearest, is of the same fabric."""
     pairs: dict[str, list[float]] = {"captures": [], "samples": [], "faces": []}
     for a, b in combinations(range(len(rows)), 2):
         if rows[a][0] != rows[b][0]:
@@ -102,10 +106,9 @@ def _agreement(
                 (True, False): "faces"}.get((same_sample, same_face))
         if kind:
             pairs[kind].append(abs(log_alpha[a] - log_alpha[b]))
-    found = np.column_stack([log_alpha / log_alpha.std(), 0.5 * curl / curl.std()])
     nearest = 0
     for k, row in enumerate(rows):
-        apart = np.square(found - found[k]).sum(axis=1)
+        apart = np.square(drape_stiffness - drape_stiffness[k]).sum(axis=1)
         apart[[other[:2] == row[:2] for other in rows]] = np.inf
         nearest += rows[int(apart.argmin())][0] == row[0]
     return {name: float(np.exp(np.median(values))) for name, values in pairs.items() if values} | {
