@@ -83,7 +83,7 @@ def faults(error: ValidationError) -> str:
             lines.append(f"{name}={shown(fault['input'])} {_PLAIN[fault['type']]}")
         else:
             value = name if isinstance(fault["input"], dict) else f"{name}={shown(fault['input'])}"
-            # Sentences of the project's validators go on after the value.
+            # A validator's sentence goes on after the value.
             lines.append(f"{value}: {text}".replace(": Value error, ", " ").strip(":= "))
     keys = [f"unknown key{'s' * (len(unknown) > 1)} {', '.join(unknown[:12])}"] if unknown else []
     return "; ".join([*keys, *lines][:3])

@@ -369,7 +369,7 @@ def _checked(outline: PhotographedOutline) -> list[Finding]:
     if not MIN_COEFFICIENT <= (coefficient := outline.drape_coefficient) <= MAX_COEFFICIENT:
         raise InputError(f"the drape coefficient is {coefficient:.1%}, only {MIN_COEFFICIENT:.0%} "
                          f"to 100% is possible; {causes}, and that the outline is not that of the "
-                         "plate or of a hole" + SHEER * (outline.check == "check_mat"))
+                         "plate or of a hole" + SHEER * bool(outline.cameras))
     warnings = []
     if coefficient > 1:
         warnings.append(Finding("outline_too_large", {"value": coefficient,

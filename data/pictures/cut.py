@@ -16,7 +16,7 @@ from common.errors import InputError
 from common.graphs import bundled_graph
 from common.types import ColourPicture, Mask, Metres, PixelPath
 from data.pictures.edge import border_of, edge_of, normals, sampled, smoothed
-from data.pictures.mat import CODE, printed_at
+from data.pictures.mat import printed_at
 from data.pictures.planes import mapped, on_grid
 from data.pictures.reading import Photograph, decoded
 
@@ -37,7 +37,7 @@ _PLACES, _CENTRED = 4, 0.03  # tries of the middle, if not known, and how near i
 ON_PLATE = 0.95  # of its radius
 MIN_COVERED = 0.9  # of the plate
 MAX_CUT_OFF = 0.003  # of the hem
-SHEER = "; under sheer cloth, which shows the code, lay a plain mat, grey or blue: state its ground"
+SHEER = "; under sheer cloth lay a plain mat, grey or blue, and state its ground"
 CONTRAST, EDGE_ERROR = 0.15, 1.0  # of log light across an edge that is seen; pixels
 
 
@@ -159,7 +159,7 @@ def cut_cloth(
             f"cloth differs from its ground on {covered:.0%} of the plate, at least "
             f"{MIN_COVERED:.0%} is needed: if it is as light as its ground or its shadow, use a "
             "ground of another colour; check the scale, the tester and the plate's place"
-            + SHEER * (printed is not None and printed.ground == CODE))
+            + SHEER * (printed is not None))
     hem, error = _hem(odds, doubt, piece)
     inside = np.clip(np.rint(hem).astype(int), 2, side - 3)
     border = (np.abs(hem - (side - 1) / 2) > side / 2 - 2).any(axis=1)
