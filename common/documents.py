@@ -62,8 +62,12 @@ class Excerpt(Schema):
 _PLAIN = {"float_type": "is not a number; write digits alone, without a unit",
           "int_type": "is not a whole number",
           "string_pattern_mismatch": "has characters that are not taken",
-          "model_type": "must be 'key: value' pairs in braces"}
-"""Sentences in place of Pydantic's, by the type of fault."""
+          "model_type": "must be 'key: value' pairs in braces",
+          "greater_than": "must be more than {gt:g}",
+          "greater_than_equal": "must be at least {ge:g}",
+          "less_than": "must be less than {lt:g}",
+          "less_than_equal": "must be at most {le:g}"}
+"""Sentences in place of Pydantic's, by the type of fault, with its limit."""
 
 
 def faults(error: ValidationError) -> str:
@@ -80,11 +84,13 @@ def faults(error: ValidationError) -> str:
         elif re.fullmatch(r"[+-]?\d{1,9},\d{1,9}", shown(fault["input"]).strip("'")):
             lines.append(f"{name}={fault['input']} has a decimal comma; write a point")
         elif fault["type"] in _PLAIN:
-            lines.append(f"{name}={shown(fault['input'])} {_PLAIN[fault['type']]}")
+            said = _PLAIN[fault["type"]].format(**fault.get("ctx", {}))
+            lines.append(f"{name}={shown(fault['input'])} {said}")
         else:
-            value = name if isinstance(fault["input"], dict) else f"{name}={shown(fault['input'])}"
-            # A validator's sentence goes on after the value.
-            lines.append(f"{value}: {text}".replace(": Value error, ", " ").strip(":= "))
+            value = f"{name}={shown(fault['input'])}" if name else ""
+            # Sentences of the project's validators go on after the value, or the key of several.
+            value = name if isinstance(fault["input"], dict) else value
+            lines.append(f"{value}: {text}".replace(": Value error, ", " ").strip(": "))
     keys = [f"unknown key{'s' * (len(unknown) > 1)} {', '.join(unknown[:12])}"] if unknown else []
     return "; ".join([*keys, *lines][:3])
 

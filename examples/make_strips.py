@@ -1,7 +1,7 @@
 """Make practice photographs of cantilever strips of a fabric with known moduli.
 
     python examples/make_strips.py out=outputs/strips
-    python -m apps.cantilever estimate strips=outputs/strips
+    python infer.py strips=outputs/strips out=outputs/strips_estimate
 
 Simulates two strips of each direction, of 1.5 and 2.5 bending lengths (alpha/rho g)^(1/3), the
 second with its other face up, photographs them with a camera that is a little inclined, and writes

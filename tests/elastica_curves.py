@@ -1,6 +1,4 @@
-"""Elastica curves of cantilever strips, as arrays and as a user's files."""
-
-from pathlib import Path
+"""Elastica curves of cantilever strips."""
 
 import numpy as np
 
@@ -23,10 +21,3 @@ def curves_of(alpha: float, beta: float, *, slope: float = 0.0, points: int = 81
                        slope=slope, points=points)
         for x in (1.5, 2.5)
     ]
-
-
-def write_curve(path: Path, curve: np.ndarray, *, scale: tuple = (1.0, 1.0)) -> Path:
-    """A CSV file of a curve (N, 2), m, whose axes are scaled."""
-    rows = [f"{x:.6f},{y:.6f}" for x, y in 1e3 * curve * scale]
-    path.write_text("\n".join(["x_mm,y_mm", *rows]) + "\n")
-    return path

@@ -19,12 +19,10 @@ import trimesh
 import yaml
 from checkpoints import describe_again, description, save_untrained
 from cloths import describe, lopsided_views, waves
-from elastica_curves import LAWS, curves_of, write_curve
 from estimates import document_of, estimate_of
 from PIL import Image, ImageOps
 from safetensors.numpy import load, save, save_file
 
-import apps.cantilever
 import apps.capture
 import apps.drape
 import data.dataset.generate
@@ -36,7 +34,6 @@ import examples.make_strips
 import experiments.__main__
 import infer
 import train
-from apps.cantilever import read_curve
 from common.configs import read_option
 from common.errors import of
 from common.files import replace_json
@@ -142,11 +139,6 @@ def _checkpoint(folder: Path) -> None:
     save_untrained(folder / "net.safetensors", width=4)
 
 
-def _curve(folder: Path) -> None:
-    """A deflection curve."""
-    write_curve(folder / "w.csv", curves_of(*LAWS[0])[0])
-
-
 def _estimate(folder: Path) -> None:
     document = document_of(estimate_of(MICRO * np.array([52, 31, 22]), np.zeros(3)))
     replace_json(folder / ESTIMATE, document.content())
@@ -206,7 +198,6 @@ STARTS = {
     "nothing": Start(doors=(READER, COMMAND)),
     "command": Start(words=(), doors=(COMMAND,)),
     "drape": Start(command=apps.drape.main, words=(), doors=(COMMAND,)),
-    "cantilever": Start(_curve, command=apps.cantilever.main, words=(), doors=(COMMAND,)),
     "prior": Start(command=data.fabrics.prior.__main__.main, words=(), doors=(COMMAND,)),
     "dataset": Start(command=data.dataset.generate.main, words=(), doors=(COMMAND,)),
     "inspection": Start(command=data.dataset.inspect.main, words=(), doors=(COMMAND,)),
@@ -217,7 +208,6 @@ STARTS = {
     "check": Start(command=apps.capture.main, words=(), doors=(COMMAND,)),
     "practice capture": Start(command=examples.make_capture.main, words=(), doors=(COMMAND,)),
     "practice strips": Start(command=examples.make_strips.main, words=(), doors=(COMMAND,)),
-    "curve": Start(_curve, lambda folder: read_curve(folder / "w.csv"), doors=(READER,)),
     "fabrics": Start(_fabrics, lambda folder: read_fabric_table(folder / "fabrics.csv"),
                      doors=(READER,)),
     "setup": Start(_described("setup.yaml", read_option("setup", "real")), _setups,

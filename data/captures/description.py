@@ -139,7 +139,7 @@ class Weighed(Schema):
     density_g_m2: float = Field(
         ge=DENSITY_RANGE[0], le=DENSITY_RANGE[1], title="mass per area",
         description="weigh the specimen, give its g/m² and check the unit (1 oz/yd² is 33.9 g/m², "
-                    "1 momme 4.34 g/m²)")
+                    "1 momme 4.34 g/m², 1 kg/m² 1000 g/m²)")
 
     @property
     def density(self) -> Density:

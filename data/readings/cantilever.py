@@ -61,7 +61,7 @@ BENDING_LENGTHS = (5.0, 150.0)  # mm, that a laboratory may have read
 # Assumed errors: the standards at hand state none.
 QUANTITIES = (
     Quantity("bending_length_mm", 3, 0.05, _length_mm, "bending length [mm]",
-             limits=BENDING_LENGTHS),
+             limits=BENDING_LENGTHS, doubled="the overhang, overhang_mm"),
     Quantity("overhang_mm", 3, 0.05, _overhang_mm, "overhang at 41.5° [mm]",
              limits=(10.0, 300.0)),
     Quantity("flexural_rigidity_uN_m", 3, 0.15, _rigidity_micro, "flexural rigidity G [µN·m]",

@@ -19,6 +19,7 @@ from outlines of real drapes: its median ratio between samples of one fabric and
 fabrics) and 1.13 (thirteen), as of normal logarithms with standard deviations of 0.10 and 0.13,
 which include errors of the network.
 """
+SLIP = 0.4  # of the logarithm, by which a value is near a multiple of the right one
 MAX_DENSITY_DIFFERENCE = 0.1  # between specimens of one fabric, relative to the smallest
 
 
@@ -35,6 +36,7 @@ class Quantity:
         predict: gives it of S fabrics of a density, (S, directions), in the unit of the name;
             :func:`moduli_at` gives their moduli. NaN of a fabric that cannot have it.
         limits: least and largest value that may be stated; beyond them it has another unit.
+        doubled: what a value of twice the right one is.
         title: its name and unit for people, by default its key.
     """
 
@@ -44,6 +46,7 @@ class Quantity:
     predict: Callable[[ClothProperties, Density], np.ndarray]
     title: str = ""
     limits: tuple[float, float] = (0.0, math.inf)
+    doubled: str = ""
 
     def __post_init__(self) -> None:
         if self.directions not in (1, 3) or not 0 < self.error <= 1:
@@ -61,6 +64,15 @@ class Quantity:
     def in_words(self) -> str:
         """Names it for people."""
         return self.title or self.name
+
+    def slip(self, ratio: float) -> str:
+        """What a value so many times the right one may be, in brackets; empty if it is no slip."""
+        tens = round(math.log10(ratio))
+        if self.doubled and abs(math.log(ratio / 2)) < SLIP:
+            return f" (twice: {self.doubled}?)"
+        if tens and abs(math.log(ratio / 10.0**tens)) < SLIP:
+            return f" (stated is {10.0**tens:g} times that: another unit?)"
+        return ""
 
     def stated(self, k: int, value: float) -> str:
         """A value along the direction of this number, if it has directions, in words."""

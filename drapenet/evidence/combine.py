@@ -64,7 +64,7 @@ def posterior(prior: np.ndarray, sources: Sequence[Source], prior_name: str = ""
             found = [linear[id(source)] for source in left]
             return base.updated(Linear.stacked(found)) if found else base
 
-        sound, differing = consistent(sound, others)
+        sound, differing = consistent(sound, others, trusted=bool(rival))
         contradictions += differing
         for source in [source for source in own if source not in sound]:
             sound, doubted = _without_exchanged(source, sound, others)
@@ -112,28 +112,69 @@ def _misfit(prior: np.ndarray, sources: Sequence[Source]) -> float:
 
 
 def consistent(
-    sources: Sequence[Source], others: Callable[[Sequence[Source]], Normal]
+    sources: Sequence[Source], others: Callable[[Sequence[Source]], Normal], *,
+    trusted: bool = True,
 ) -> tuple[list[Source], list[Finding]]:
     """The sources that agree with each other, and a finding for each of the rest.
 
-    The least probable source is removed, and the test repeated with the remaining ones.
+    The least probable source is removed, and the test repeated with the remaining ones; where that
+    is not enough, all values of a test without which the rest agree: they share unit and specimen.
 
     Args:
         others: the posterior of some sources.
+        trusted: whether anything but the sources themselves says which of two tests is wrong.
+
+    InputError if nothing does.
     """
     left: list[Source] = list(sources)
     contradictions: list[Finding] = []
-    while len(left) > 1:
-        limit = LEVEL / (len(left) if len(left) > 2 else 1)  # Bonferroni
-        rest = [others([one for one in left if one is not source]) for source in left]
-        found = [probability(source, other) for source, other in zip(left, rest, strict=True)]
-        k = len(left) - 1 - int(np.argmin(found[::-1]))  # of equals the last
-        if found[k] >= limit:
-            break
-        worst = left.pop(k)
+    while worst := _least_probable(left, others):
+        gone, wrong = [worst], []
+        if tests := {one.test: [each for each in left if each.test == one.test]
+                     for one in left if one.test}:
+            wrong = [part for part in tests.values() if len(part) < len(left)
+                     and not _least_probable(_without(left, part), others)]
+        if len(wrong) > 1 and not trusted:
+            raise InputError(_undecided((wrong[0], wrong[-1]), others))
+        if wrong and _least_probable(_without(left, gone), others):
+            gone = next((part for part in wrong if worst in part), wrong[-1])
+        left = _without(left, gone)
         rival = left[0].label if len(left) == 1 else f"the other {len(left)} {_NAMES[worst.kind]}"
-        contradictions.append(worst.contradiction(rival, rest[k].samples(_TESTED)))
+        cloth = others(left).samples(_TESTED)
+        contradictions += [one.contradiction(rival, cloth) for one in gone]
     return left, contradictions
+
+
+def _without(sources: Sequence[Source], gone: Sequence[Source]) -> list[Source]:
+    return [source for source in sources if not any(source is one for one in gone)]
+
+
+def _least_probable(
+    left: Sequence[Source], others: Callable[[Sequence[Source]], Normal]
+) -> Source | None:
+    """The source that the others contradict most; None if all agree."""
+    if len(left) < 2:
+        return None
+    limit = LEVEL / (len(left) if len(left) > 2 else 1)  # Bonferroni
+    found = [probability(source, others(_without(left, [source]))) for source in left]
+    k = len(left) - 1 - int(np.argmin(found[::-1]))  # of equals the last
+    return left[k] if found[k] < limit else None
+
+
+def _undecided(tests: Sequence[list[Source]],
+               others: Callable[[Sequence[Source]], Normal]) -> str:
+    """That of two tests either may be wrong, by a value of one that may be a slip, if one is."""
+    said = []
+    for right, doubted in (tests, tests[::-1]):
+        cloth = others(right)
+        worst = min(doubted, key=lambda source: probability(source, cloth))
+        found = worst.contradiction("", cloth.samples(_TESTED))
+        expected = found.values.get("expected", np.nan)
+        said.append((found.code, f"by {right[0].test} {worst.label} would be {expected:.3g}"
+                                 f"{found.values.get('slip', '')}"))
+    return (f"{tests[0][0].test} and {tests[1][0].test} contradict each other, and nothing else "
+            f"says which is right: {max(said)[1]}; check units, fabric and density_g_m2, and leave "
+            "the wrong test out")
 
 
 def _without_exchanged(

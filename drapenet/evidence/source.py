@@ -38,6 +38,7 @@ class Source:
         against: what was measured beside what states (S, 10) of other sources say: code and values.
         exchanged: the same with the value that is stated along the other yarns, if one is, and the
             key of the source of that one.
+        test: what measured a stated value; '': no value.
     """
 
     label: str
@@ -46,6 +47,7 @@ class Source:
     residuals: Callable[[np.ndarray], np.ndarray]
     against: "Against"
     exchanged: "tuple[Source, str] | None" = None
+    test: str = ""
 
     def contradiction(self, rival: str, states: np.ndarray) -> Finding:
         """That it contradicts the ``rival``, of whose states (S, 10) are."""
@@ -105,10 +107,13 @@ def _of_value(name: str, k: int, value: float, error: float, density: Density) -
         values = predicted(states)
         if not np.isfinite(values).any():
             return "value_cannot_be_measured", {"value": value}
-        return "value_contradicts", {"value": value, "expected": float(np.nanmedian(values))}
+        expected = float(np.nanmedian(values))
+        slip = quantity.slip(value / expected)
+        return "value_slipped" if slip else "value_contradicts", {
+            "value": value, "expected": expected, **({"slip": slip} if slip else {})}
 
     return Source(f"the known {quantity.stated(k, value)}", value_key(name, k), VALUES, residuals,
-                  against)
+                  against, test=quantity.in_words)
 
 
 def value_key(name: str, k: int) -> str:

@@ -61,9 +61,19 @@ class Target:
 
 TARGETS = {name: Target(**row) for name, row in yaml.safe_load(
     Path(__file__).with_name("formats.yaml").read_text(encoding="utf-8")).items()}
-ALIASES = {"clo": "jfab", "clo3d": "jfab", "marvelous": "jfab", "marvelousdesigner": "jfab",
-           "browzwear": "u3m", "vstitcher": "u3m", "unreal": "usd", "style3d": "newton",
-           "vbd": "newton", "houdini": "cards", "isaac": "isaaclab", "contourcraft": "hood"}
+ALIASES = {
+    "clo": "jfab",
+    "clo3d": "jfab",
+    "marvelous": "jfab",
+    "marvelousdesigner": "jfab",
+    "browzwear": "u3m",
+    "vstitcher": "u3m",
+    "unreal": "usd",
+    "style3d": "newton",
+    "vbd": "newton",
+    "houdini": "cards",
+    "isaac": "isaaclab",
+    "contourcraft": "hood"}
 
 
 def table() -> str:

@@ -192,14 +192,20 @@ class Material:
         return result_name([Path(source) for source in sources])[-MAX_LABEL_LENGTH:]
 
     @property
+    def cells(self) -> tuple[int, list[Finding]]:
+        """Number of the mesh's edges along a fold, and a finding if they are too few to show it."""
+        edge = self.settings.edge_mm
+        fold = 1e3 * np.cbrt(GAMMA * mean_modulus(self.modulus) / (self.density * GRAVITY))
+        return round(fold / edge), [Finding("edges_coarse", {
+            "value": edge, "fold": fold, "limit": fold / MIN_CELLS})
+            ] * (round(fold / edge) < MIN_CELLS)
+
+    @property
     def ratio(self) -> float:
         """Modulus of hinges on the mesh over that of the equivalent plate."""
-        natural = 1e3 * np.cbrt(GAMMA * mean_modulus(self.modulus) / (self.density * GRAVITY))
-        cells = round(natural / self.settings.edge_mm)
-        if cells < MIN_CELLS:
-            raise InputError(f"edge_mm={self.settings.edge_mm:g} is too coarse for this fabric, "
-                             f"whose folds are about {natural:.0f} mm long; at most "
-                             f"{natural / MIN_CELLS:.1f}")
+        cells, coarse = self.cells
+        if coarse:
+            raise InputError(coarse[0].text)
         return hinge_ratio(self.settings.mesh, cells)
 
     @property
@@ -208,7 +214,8 @@ class Material:
         content, curvature = self.document.content(), self.settings.curvature_1_m
         capture = content["capture"]
         document = self.document
-        found = [*document.warnings, *(document.advice or []), *document.mostly_usual]
+        found = [*document.warnings, *(document.advice or []), *document.mostly_usual,
+                 *self.cells[1]]
         if document.names != DIRECTIONS:
             found.append(Finding("warp_unmarked"))
         outside = np.any(-self.beta * curvature > SOFTENING_LIMIT * self.alpha)

@@ -124,12 +124,12 @@ def _toml(file: File) -> dict[str, bytes]:
     frame = _framed(file)
     lines = [f"[{_quoted(file.material.name)}]"] * bool(frame)
     lines += [f"{key} = {_quoted(value)}" for key, value in (frame | file.given).items()]
-    return {file.name: ("\n".join([*_comments(file.about), *lines]) + "\n").encode()}
+    return {file.name: ("\n".join([*lines, "", *_comments(file.about)]) + "\n").encode()}
 
 
 def _yaml(file: File) -> dict[str, bytes]:
     lines = yaml.safe_dump(file.given, sort_keys=False)
-    return {file.name: ("\n".join([*_comments(file.about), lines])).encode()}
+    return {file.name: ("\n".join([lines, *_comments(file.about)]) + "\n").encode()}
 
 
 def _script(file: File) -> dict[str, bytes]:
@@ -198,8 +198,17 @@ def _torque(file: File) -> dict[str, bytes]:
 
 
 WRITERS: dict[str, Callable[[File], dict[str, bytes]]] = {
-    "json": _json, "u3m": _u3m, "usd": _usd, "toml": _toml, "yaml": _yaml, "script": _script,
-    "mujoco": _mujoco, "page": _page, "cards": _cards, "table": _table, "torque": _torque}
+    "json": _json,
+    "u3m": _u3m,
+    "usd": _usd,
+    "toml": _toml,
+    "yaml": _yaml,
+    "script": _script,
+    "mujoco": _mujoco,
+    "page": _page,
+    "cards": _cards,
+    "table": _table,
+    "torque": _torque}
 """The files' bytes by name, the named file first."""
 
 

@@ -141,11 +141,21 @@ def write_report(
     else:
         curves = b""
     values = {
-        "title": title, "document": document, "captures": captures, "alone": alone,
-        "spread": spread, "curves": curves, "scatter": scatter, "failed": failed, "back": back,
+        "title": title,
+        "document": document,
+        "captures": captures,
+        "alone": alone,
+        "spread": spread,
+        "curves": curves,
+        "scatter": scatter,
+        "failed": failed,
+        "back": back,
         "strip_pictures": strips,
-        "width": WIDTH, "known": document.known_values, "in_all": in_all(captures),
-        "version": version("drapenet"), "texts": shown_texts,
+        "width": WIDTH,
+        "known": document.known_values,
+        "in_all": in_all(captures),
+        "version": version("drapenet"),
+        "texts": shown_texts,
         "passport": (passport := Passport.of(title, document, address))}
     replace_file(out / page, render("report.html", layout="base.html", **values))
     body, shorter = render("report.html", layout="print.html", **values).decode(), ""

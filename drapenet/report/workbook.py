@@ -10,7 +10,7 @@ from xlsxwriter.worksheet import Worksheet
 from common.findings import texts
 from data.captures.description import UNLABELLED
 from drapenet.measured.base import Quantity
-from drapenet.result.document import COLUMNS, MAX_COMPARED_SHARE, EstimateDocument
+from drapenet.result.document import COLUMNS, MAX_OUTSIDE_SHARE, EstimateDocument
 
 QUANTITIES = {"alpha_uN_m": ("α", "µN·m", "0.0"), "beta_nN_m2": ("β", "nN·m²", "0"),
               "drape_stiffness_uN_m": ("stiffness in a drape", "µN·m", "0.0"),
@@ -31,9 +31,9 @@ NOTES = (
     "All values are at the mass per area of the fabric; those of testers are computed from α and "
     "β. A fabric's drape coefficient and nodes are means over its captures, empty if these "
     "are of several testers.",
-    "KES B and 2HB are empty where most of the samples of the estimate soften below 1.5 1/cm, so "
-    "that the moduli do not determine them; 'KES not determined' is their share. Do not compare "
-    f"them with measured values where it exceeds {100 * MAX_COMPARED_SHARE:g} %.",
+    f"KES B and 2HB are empty where more than {100 * MAX_OUTSIDE_SHARE:g} % of the samples of the "
+    "estimate soften below 1.5 1/cm, so that the moduli do not determine them; 'KES not "
+    "determined' is their share.",
     "poorly constrained: what was measured says little of this modulus along this direction, or of "
     "the ratio of the yarns, so that its value is mostly that of usual fabrics.",
     "A fabric without an estimate has one line, with its reason; the sheet failures lists all.")

@@ -47,8 +47,7 @@ POORLY_CONSTRAINED = 0.7  # above this ratio of standard deviation and spread ov
 CURVATURES = np.array([25.0, 50.0, 100.0, 200.0, 400.0])  # 1/m, of the tabulated law
 COLUMNS = (*StripsRecord.names, *TensionRecord.names)
 """Columns that each table has of what is measured beside captures."""
-MAX_OUTSIDE_SHARE = 0.5  # of samples outside KES's range; beyond, its readings are not given
-MAX_COMPARED_SHARE = 0.05  # beyond, its readings are given, but not to be compared
+MAX_OUTSIDE_SHARE = 0.16  # of samples outside KES's range; beyond, 68 % intervals would be, too
 
 
 class DirectionModuli(Excerpt):
@@ -176,7 +175,7 @@ class EstimateDocument(Excerpt):
     moduli: dict[str, DirectionModuli] = Field(title="at the fabric's density")
     moduli_at_300_g_m2: dict[str, DirectionModuli] = Field(title="the same keys, at 300 g/m²")
     laboratory: dict[str, Readings] = Field(title="what testers would measure")
-    kes_note: Text = Field("", title="where KES readings are not given, or not to be compared")
+    kes_note: Text = Field("", title="where KES readings are not given")
     correlations: dict[str, Any] = Field(title="of log α and β/α: of, matrix")
     share_of_spread_over_fabrics: dict[str, float] = Field(
         title="standard deviation of each modulus over its spread over fabrics")
@@ -409,14 +408,10 @@ def _readings(estimate: Estimate) -> dict[str, Any]:
 
 
 def _kes_note(laboratory: Mapping[str, Mapping[str, Any]]) -> str:
-    """Directions along which KES readings are not given or not to be compared; empty if none."""
+    """Directions along which KES readings are not given; empty if none."""
     share = "kes_b_outside_law_probability"
-    doubtful = {name: readings for name, readings in laboratory.items()
-                if readings[share] > MAX_COMPARED_SHARE}
-    parts = []
-    for what, given in (("not given", False), ("not to be compared with measured values", True)):
-        names = [f"{name} ({100 * readings[share]:.0f} %)" for name, readings in doubtful.items()
-                 if bool(readings["kes_b_gf_cm2_per_cm"]) == given]
-        parts += [f"{what} along {', '.join(names)}"] * bool(names)
-    return f"KES B and 2HB are {' and '.join(parts)}: in that share of the samples the fabric " \
-           "softens below 1.5 1/cm, so that its moduli do not determine them" if parts else ""
+    names = [f"{name} ({100 * readings[share]:.0f} %)" for name, readings in laboratory.items()
+             if not readings["kes_b_gf_cm2_per_cm"]]
+    return f"KES B and 2HB are not given along {', '.join(names)}: in that share of the samples " \
+           f"(at most {100 * MAX_OUTSIDE_SHARE:g} %) the fabric softens below 1.5 1/cm, so that " \
+           "its moduli do not determine them" if names else ""

@@ -1,36 +1,30 @@
-"""Moduli from deflection curves of strips (Feng et al. 2022, section 4.3).
-
-Two methods: *regression* of torque on curvature along a curve (4.3.1), and *table*, comparison with
-computed curves (4.3.2). Bézier curves smooth the measured ones.
+"""Moduli from deflection curves of strips by comparison with computed curves (Feng et al. 2022,
+section 4.3.2). Bézier curves smooth the measured ones.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
-from scipy.optimize import least_squares, minimize_scalar
+from scipy.optimize import least_squares
 from scipy.special import comb
 
 from common.errors import InputError
 from common.types import DeflectionCurve, Density, Metres, Moduli, QuadraticModuli, Radians
 from sim.cantilever.elastica import MAX_GAMMA, heavy_elastica
 from sim.cantilever.strip import simulate_strips
-from sim.material import DIRECTIONS, Fabric, is_admissible, torque
+from sim.material import DIRECTIONS, Fabric, is_admissible
 from sim.rig import GRAVITY
 
 DEGREES = range(3, 15)
 """Candidate degrees of a Bézier curve. A cubic curve (section 4.3) cannot follow the curvature from
-clamp to free end: its error of alpha is at least 6 % (docs/validation.md)."""
+clamp to free end: alpha is at least 6 % too small."""
 _PROJECTIONS = 30  # updates of the points' parameters
 
-SAMPLES = 256  # points along each curve in the regression (section 4.3)
 RATIO_RANGE = (-0.02, 0.02)  # m, of beta/alpha in fabrics
-MAX_TORQUE_MISFIT = 0.5
-"""Relative. An error of 0.3 mm in the points gives 0.15; on nearly straight strips it gives 0.4 to
-0.9, with errors of alpha up to a factor of four; other curves give 0.98."""
 
 POINTS = 41  # equidistant along each curve that is compared with computed ones
 GAMMAS = (0.05, 2000.0)  # range of rho g L³/alpha in the table
@@ -56,13 +50,8 @@ class StripModuli:
 
     alpha: float  # N·m
     beta: float  # N·m²
-    misfit: float  # relative root mean square: of the torque (regression), or of distances (table)
+    misfit: float  # root mean square of distances, relative to the mean length
     curvature: float  # 1/m, largest on the curves
-
-    @property
-    def bounded(self) -> bool:
-        """Whether beta/alpha is at a search bound, so that the curves do not determine beta."""
-        return abs(self.beta / self.alpha) > 0.999 * RATIO_RANGE[1]
 
 
 @dataclass(frozen=True)
@@ -151,53 +140,6 @@ def _solve(curve: DeflectionCurve, t: np.ndarray, degree: int, slope: Radians) -
     return Bezier(np.vstack([[0.0, 0.0], second * along, np.reshape(others, (-1, 2))]))
 
 
-def torque_and_curvature(bezier: Bezier, *, weight: float) -> tuple[np.ndarray, np.ndarray]:
-    """Torque (SAMPLES,), N, and curvature (SAMPLES,), 1/m, from the clamp to the free end."""
-    points, curvature = bezier.sample(SAMPLES)
-    return weight * moment_beyond(points), curvature
-
-
-def moment_beyond(curve: DeflectionCurve) -> np.ndarray:
-    """(N,) integrals of x(s) - x_i from s_i to the free end, m², by the trapezoidal rule (Eq. 5 and
-    6): the torque per width is rho g times this."""
-    x, s = curve[:, 0], arc_lengths(curve)
-    passed = cumulative_trapezoid(x, s, initial=0)
-    return passed[-1] - passed - x * (s[-1] - s)
-
-
-def fit_law(curvature: np.ndarray, moment: np.ndarray) -> tuple[float, float, float]:
-    """alpha, beta and relative misfit of the law :func:`sim.material.torque` through curvatures,
-    1/m, and torques, N·m per metre of width or any unit of theirs, (N,) each. For a given
-    beta/alpha the law is proportional to alpha, so that only this ratio is searched."""
-    def project(ratio: float) -> tuple[float, float]:
-        law = np.sign(curvature) * torque(np.abs(curvature), 1.0, ratio)
-        alpha = float(law @ moment / (law @ law))
-        return alpha, float(np.sqrt(((moment - alpha * law) ** 2).mean()))
-
-    ratios = np.linspace(*RATIO_RANGE, 81)
-    best = int(np.argmin([project(ratio)[1] for ratio in ratios]))
-    ratio = minimize_scalar(lambda ratio: project(ratio)[1], method="bounded",
-                            bounds=(ratios[max(best - 1, 0)], ratios[min(best + 1, 80)]),
-                            options={"xatol": 1e-9}).x
-    alpha, error = project(ratio)
-    if not alpha > 0:
-        raise InputError(NOT_A_STRIP)
-    return alpha, float(alpha * ratio), error / float(np.sqrt((moment**2).mean()))
-
-
-def regress(
-    curves: Sequence[DeflectionCurve], *, weight: float, slope: Radians = 0.0
-) -> StripModuli:
-    """Moduli from one or several strips of one direction by regression of torque on curvature."""
-    fits = [fit_bezier(curve, slope=slope) for curve in curves]
-    moment, curvature = np.hstack([torque_and_curvature(fit, weight=weight) for fit in fits])
-    alpha, beta, misfit = fit_law(curvature, moment)
-    if misfit > MAX_TORQUE_MISFIT:
-        raise InputError(f"{NOT_A_STRIP}; or use method=table, which tolerates more noise "
-                         f"(the law leaves {100 * misfit:.0f} % of the torque unexplained)")
-    return StripModuli(alpha, beta, misfit, float(curvature.max()))
-
-
 def match(curves: Sequence[DeflectionCurve], *, weight: float, slope: Radians = 0.0) -> StripModuli:
     """Moduli whose elastica curves are nearest to the curves of one direction.
 
@@ -257,17 +199,14 @@ def distance_across(curve: DeflectionCurve, model: DeflectionCurve) -> np.ndarra
     return np.take_along_axis(np.copysign(distance, cross), nearest, axis=1)[:, 0]
 
 
-METHODS: dict[str, Callable[..., StripModuli]] = {"regression": regress, "table": match}
-
-
 def estimate_moduli(
-    strips: Strips, *, density: Density, method: str = "table", slope: Radians = 0.0
+    strips: Strips, *, density: Density, slope: Radians = 0.0
 ) -> dict[str, StripModuli]:
-    """Moduli of each direction from its strips alone, by one of :data:`METHODS`."""
+    """Moduli of each direction from its strips alone."""
     moduli = {}
     for direction, curves in strips.items():
         try:
-            moduli[direction] = METHODS[method](curves, weight=density * GRAVITY, slope=slope)
+            moduli[direction] = match(curves, weight=density * GRAVITY, slope=slope)
         except InputError as error:
             raise InputError(f"{direction}: {error}") from None
     return moduli
@@ -283,13 +222,13 @@ def fabric_of(moduli: Mapping[str, StripModuli], density: Density) -> Fabric:
 
 def correct(
     strips: Strips, moduli: Mapping[str, StripModuli], *, density: Density,
-    rounds: int = MAX_ROUNDS, width: Metres = 0.03, method: str = "table", slope: Radians = 0.0
+    rounds: int = MAX_ROUNDS, width: Metres = 0.03, slope: Radians = 0.0
 ) -> Fabric:
     """The fabric whose simulated strips give the same ``moduli`` as the measured strips.
 
     A free strip cut along the bias also twists and curves across, and thus hangs slightly lower
     than a cylinder (docs/validation.md). Each round simulates the three strips and estimates moduli
-    from them by the same method; the residual moves the moduli by Broyden's method.
+    from them in the same way; the residual moves the moduli by Broyden's method.
     """
     fabric = fabric_of(moduli, density)
     lengths = {direction: [fit_bezier(curve, slope=slope).length for curve in strips[direction]]
@@ -299,8 +238,7 @@ def correct(
     best, least, last = fabric, np.inf, None
     for _ in range(rounds):
         simulated = simulate_strips(fabric, lengths, width=width, slope=slope)
-        residual = target - _unknowns(estimate_moduli(
-            simulated, density=density, method=method, slope=slope))
+        residual = target - _unknowns(estimate_moduli(simulated, density=density, slope=slope))
         if np.linalg.norm(residual) < least:
             best, least = fabric, float(np.linalg.norm(residual))
         if last is not None:

@@ -23,7 +23,7 @@ def test_strips_and_values_join_and_what_contradicts_is_shown_at_once(page, tmp_
     name = "known.flexural_rigidity_uN_m.warp"
     page.fill(f"[name='{name}']", "-600")
     page.click("#submit")
-    page.locator(f"[id='error-{name}']", has_text="greater than 0").wait_for()
+    page.locator(f"[id='error-{name}']", has_text="more than 0").wait_for()
     page.fill(f"[name='{name}']", "600")
     page.click("#submit")
     page.locator("#contradictions", has_text="left out").wait_for()

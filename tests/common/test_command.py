@@ -12,7 +12,6 @@ from pydantic import Field
 import common.configs
 import common.sweeps
 import serve
-from apps.cantilever import EstimateConfig, HangConfig
 from apps.capture import CaptureConfig
 from apps.drape import DrapeConfig
 from common.command import command, commands, compose_config
@@ -29,8 +28,7 @@ from drapenet.config import EvaluateConfig, ExportConfig, InferConfig, ServeConf
 from drapenet.library import LibraryConfig
 
 ROOT = Path(__file__).parents[2]
-SCHEMAS = {"cantilever_estimate": EstimateConfig, "cantilever_hang": HangConfig,
-           "capture": CaptureConfig, "drape": DrapeConfig, "evaluate": EvaluateConfig,
+SCHEMAS = {"capture": CaptureConfig, "drape": DrapeConfig, "evaluate": EvaluateConfig,
            "export": ExportConfig, "generate": Options,
            "hem": HemConfig, "infer": InferConfig, "inspect": InspectConfig,
            "library": LibraryConfig, "off_axis": OffAxisConfig, "prior_fit": FitConfig,

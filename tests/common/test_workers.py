@@ -168,7 +168,7 @@ def test_ctrl_c_in_a_compiled_function_is_one_line():
 
 
 @pytest.mark.parametrize("command", ["train.py", "infer.py", "serve.py", "data/dataset/generate.py",
-                                     "apps/drape.py", "apps/cantilever.py"])
+                                     "apps/drape.py"])
 def test_commands_see_to_ctrl_c_before_other_imports(command):
     tree = ast.parse((ROOT / command).read_text(encoding="utf-8"))
     first = next(node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom))

@@ -339,7 +339,7 @@ def _copy(*files: Path) -> Callable[[Path], None]:
 # Of each kind of input: writes a sound one to a folder, and reads it.
 READERS: dict[str, tuple[Callable[[Path], object], Callable[[Path], object]]] = {
     **{name: (STARTS[name].write, STARTS[name].read) for name in (
-        "views", "published", "outline", "lengths", "tension", "curve", "fabrics")},
+        "views", "published", "outline", "lengths", "tension", "fabrics")},
     "checkpoint": (STARTS["checkpoint"].write, _read_checkpoint),
     "photograph": (_photograph, read_capture),
     "arrays": (_views(np.save, ".npy"), read_capture),

@@ -188,6 +188,42 @@ def test_values_that_contradict_each_other_and_not_the_captures():
     assert contradiction.values["value"] == 220 > contradiction.values["expected"]
 
 
+def readings(alpha: float, *names: str, **factors: float) -> Known:
+    """What tests, some in other units, state of usual cloth with alpha, µN·m, along its warp."""
+    exact = states()[:1].copy()
+    exact[0, :6] = [*np.log(np.array([1, 0.8, 0.6]) * alpha * MICRO), *[-2.2e-3] * 3]
+    values = {name: factors.get(name, 1) * QUANTITIES[name].of(cloth_of_state(exact), DENSITY)[0]
+              for name in names}
+    return Known(**{name: ByDirection(warp=each[0], weft=each[2]) for name, each in values.items()})
+
+
+LENGTH, RIGIDITY, KES_B = "bending_length_mm", "flexural_rigidity_uN_m", "kes_b_gf_cm2_per_cm"
+
+
+def test_a_test_in_a_wrong_unit_is_left_out_as_a_whole(header):
+    """Value by value, the warp's of one test and the weft's of another would be left."""
+    prior = state_of(fabric_prior(header))
+    for wrong in (LENGTH, RIGIDITY, KES_B):
+        known = readings(60, LENGTH, RIGIDITY, KES_B, **{wrong: 2 if wrong == LENGTH else 0.1})
+        found = posterior(prior, of_values(known, DENSITY))
+        assert {one.source for one in found.contradictions} == {
+            f"known.{wrong}.0", f"known.{wrong}.2"}
+        slip = "twice: the overhang" if wrong == LENGTH else "0.1 times that: another unit"
+        assert all(slip in line for line in texts(found.contradictions))
+        warp, weft = np.exp(found.states[:, [0, 2]].mean(axis=0)) / MICRO
+        assert warp > 1.3 * weft
+
+
+def test_of_two_tests_alone_none_is_trusted_more(header):
+    prior = state_of(fabric_prior(header))
+    for wrong, said in (({RIGIDITY: 0.1}, "unit"), ({LENGTH: 2.0}, "bending length.*overhang_mm")):
+        known = readings(60, LENGTH, RIGIDITY, **wrong)
+        with pytest.raises(InputError, match=f"contradict each other, .*{said}"):
+            posterior(prior, of_values(known, DENSITY))
+        found = posterior(states(), of_values(known, DENSITY), NAME)
+        assert {one.source.split(".")[1] for one in found.contradictions} == set(wrong)
+
+
 def test_a_wrong_value_beside_strips_is_named_though_it_is_far_from_linear(header, tmp_path):
     """A cloth between all of them would have none: it curls, and KES B and 2HB are others, too.
     Fabrics as anisotropic as published ones can be: each value by itself fits the others."""
