@@ -35,8 +35,7 @@ CAMERA_HEIGHTS = (200.0, 20_000.0)  # mm above the plate, of a photograph's came
 OUTLINE_TABLES = (".csv", ".txt")  # suffixes of outlines in numbers
 PARALLEL = "parallel"
 """Height of a camera infinitely far away, such as the light of a drapemeter."""
-NEED_WARP = ("need captures whose warp is marked: state its direction (warp_direction_deg; on the "
-             "page, Warp in the picture)")
+NEED_WARP = "need captures whose warp is marked: state its direction (warp_direction_deg)"
 MAX_LABEL_LENGTH = 80  # characters
 PRINTABLE = r"^[[^\p{C}\p{Zl}\p{Zp}]\x{AD}\x{200C}\x{200D}]*$"  # with hyphens and joiners
 _Label = Annotated[str, Field(min_length=1, max_length=MAX_LABEL_LENGTH, pattern=PRINTABLE)]

@@ -37,7 +37,7 @@ from data.captures.off_axis import AZIMUTH, AZIMUTHS, OUTWARDS
 from data.captures.outline_table import read_closed_curve
 from data.captures.plate_height import MAX_OFF, height_off
 from data.captures.scale import Scaled, scaled_photographs
-from data.pictures.cut import Cut, outline_of_cloth
+from data.pictures.cut import SHEER, Cut, outline_of_cloth
 from data.pictures.planes import mapped, shifted, upright
 from data.pictures.reading import MAX_FILE_BYTES
 from data.pictures.uncovered import uncover
@@ -369,7 +369,7 @@ def _checked(outline: PhotographedOutline) -> list[Finding]:
     if not MIN_COEFFICIENT <= (coefficient := outline.drape_coefficient) <= MAX_COEFFICIENT:
         raise InputError(f"the drape coefficient is {coefficient:.1%}, only {MIN_COEFFICIENT:.0%} "
                          f"to 100% is possible; {causes}, and that the outline is not that of the "
-                         "plate or of a hole")
+                         "plate or of a hole" + SHEER * bool(outline.cameras))
     warnings = []
     if coefficient > 1:
         warnings.append(Finding("outline_too_large", {"value": coefficient,

@@ -37,6 +37,7 @@ _PLACES, _CENTRED = 4, 0.03  # tries of the middle, if not known, and how near i
 ON_PLATE = 0.95  # of its radius
 MIN_COVERED = 0.9  # of the plate
 MAX_CUT_OFF = 0.003  # of the hem
+SHEER = "; under sheer cloth lay a plain mat, grey or blue, and state its ground"
 CONTRAST, EDGE_ERROR = 0.15, 1.0  # of log light across an edge that is seen; pixels
 
 
@@ -157,7 +158,8 @@ def cut_cloth(
         raise InputError(
             f"cloth differs from its ground on {covered:.0%} of the plate, at least "
             f"{MIN_COVERED:.0%} is needed: if it is as light as its ground or its shadow, use a "
-            "ground of another colour; check the scale, the tester and the plate's place")
+            "ground of another colour; check the scale, the tester and the plate's place"
+            + SHEER * (printed is not None))
     hem, error = _hem(odds, doubt, piece)
     inside = np.clip(np.rint(hem).astype(int), 2, side - 3)
     border = (np.abs(hem - (side - 1) / 2) > side / 2 - 2).any(axis=1)
@@ -217,9 +219,8 @@ def _view(
     else:
         print_there, on_mat = printed.at(middle + np.dstack(np.meshgrid(along, -along)))
     transparent = warped(np.uint8(255) * photograph.transparent, cv2.BORDER_CONSTANT) > 127
-    view = ClothView(warped(photograph.colour, cv2.BORDER_REPLICATE), print_there, on_mat, unseen,
-                plate, reach, middle if known else None)
-    return view, transparent
+    return ClothView(warped(photograph.colour, cv2.BORDER_REPLICATE), print_there, on_mat, unseen,
+                     plate, reach, middle if known else None), transparent
 
 
 def _log_odds(view: ClothView) -> tuple[np.ndarray, np.ndarray]:

@@ -14,7 +14,7 @@ from markdown import markdown
 from markdown.extensions.toc import TocExtension, slugify_unicode
 from markupsafe import Markup
 
-from data.captures.description import PLATE_HEIGHTS
+from data.captures import description
 from data.captures.reader import CAPTURE_FILES, MAX_PICTURES
 from data.pictures.mat import CODE, GROUNDS, PARTS
 from data.readings import QUANTITIES
@@ -49,7 +49,7 @@ def add_pages(app: FastAPI, settings: ServeConfig) -> None:
     page = render("service.html", settings=settings, targets=TARGETS, meshes=MESHES,
                   curvature=DRAPE_CURVATURE, testers={name: RIGS[name] for name in TESTERS},
                   kinds=KINDS, examples=examples, manual=MANUAL.is_dir(), directions=DIRECTIONS,
-                  photographs=PHOTOGRAPHS, pictures=MAX_PICTURES, plate_heights=PLATE_HEIGHTS,
+                  photographs=PHOTOGRAPHS, pictures=MAX_PICTURES, stated=description,
                   grounds=[ground for ground in GROUNDS if ground != CODE],
                   mats=[(mat, paper, columns * rows) for (mat, paper), (columns, rows)
                         in PARTS.items()],

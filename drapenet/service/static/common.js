@@ -20,9 +20,6 @@ export function unfold(part) {
   for (let fold = part.closest('details'); fold; fold = fold.parentElement.closest('details')) fold.open = true;
 }
 
-// A sentence of the service without the names that pictures have there, which nobody gave them.
-export const plainly = (sentence) => sentence.replaceAll(/, outline_\d\.[a-z]+,/g, ',').replaceAll(/\boutline_(\d)\.[a-z]+/g, 'picture $1').replaceAll(/\boutline\.(jpe?g|png|hei[cf]|webp|avif|tiff?)\b/g, 'the picture').replaceAll('outline.mat', 'the mat');
-
 const OWN = 'drapenet.own';
 const MOST_OWN = 500;
 

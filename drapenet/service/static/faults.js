@@ -5,13 +5,13 @@ import {
   chosen, descriptions, drapes, form, isDescribed, isOtherSize, isOverMat, isRectangle, isScan, limits, suffix, usesSetup, values,
 } from './fields.js';
 import { number } from './support.js';
+import { PARTS, plainly } from './words.js';
 
-const PARTS = { intrinsics: 'fx', weight_g: 'density_g_m2', plate_px: 'plate_x', 'plate_px.x': 'plate_x', 'plate_px.y': 'plate_y', 'plate_px.diameter': 'plate_diameter' };
 const WORDS = ['name', 'support', 'weighed', 'notes', 'label', 'face', 'unit', 'tester', 'mat', 'arrow', 'centred', 'angles', 'kind', 'files', 'date', 'operator', 'laboratory', 'camera', 'remarks'];
 
 // The field that a sentence of the service names first; words of sentences only where they have a value.
 export function fieldOf(sentence) {
-  const [, entry, key] = sentence.match(/^(\w+\.\d+)=.* has (\w+) /) ?? []; // of a list
+  const [, entry, key] = sentence.match(/^(\w+\.\d+) has (\w+) /) ?? []; // of a list
   if (form.elements[`${entry}.${key}`]) return `${entry}.${key}`;
   const names = [...new Set([...form.elements].map((field) => field.name).filter(Boolean)), ...Object.keys(PARTS)];
   const found = names.map((name) => {
@@ -21,7 +21,8 @@ export function fieldOf(sentence) {
   return found.length ? PARTS[found[0][0]] ?? found[0][0] : null;
 }
 
-export function complain(sentence, name, focus = true) {
+export function complain(said, name, focus = true) {
+  const sentence = plainly(said);
   let field = name === 'files' ? at('shot') : name && form.elements[name] && form.querySelector(`[data-entry="${name}"], [name="${name}"]`);
   if (field?.closest('label[hidden]')) field = form.elements.mat; // on which it depends what is shown
   if (!field) {

@@ -1,6 +1,6 @@
 // The files and pictures of the form: which are chosen, how they are read, and what is sent of them.
 
-import { at, element, plainly, unfold } from './common.js';
+import { at, element, unfold } from './common.js';
 import { clear } from './faults.js';
 import {
   chosen, density, drapes, form, isBeside, isBesideDrapes, isCertainlyPhotograph, isDescribed, isDrape, isOverMat, isScan, isTable,
@@ -10,6 +10,7 @@ import { look, preview } from './outline.js';
 import { areLarge, isFull, reduced, together } from './pictures.js';
 import { askOpen, choose, hasPhotograph, questions } from './questions.js';
 import { testerName } from './support.js';
+import { plainly } from './words.js';
 
 // Whether a picture in PNG has depths: it is grey, a photograph is in colour (the byte is that of its kind of colour).
 async function hasDepth(file) {

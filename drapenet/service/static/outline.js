@@ -1,7 +1,9 @@
 // The photograph as it is read, before the estimate, with the outline and the circle of the plate.
 // Moving the circle fills the plate's fields of the form, which then ask for another reading.
 
-import { ask, at, element, plainly } from './common.js';
+import { ask, at, element } from './common.js';
+import { isOverMat } from './fields.js';
+import { plainly } from './words.js';
 
 const DELAY = 400; // ms after the last change
 const KNOB = 0.025; // radius, of the picture's width
@@ -99,13 +101,19 @@ function show(found) {
   at('seen-move').hidden = !seen?.movable;
   at('seen-refusal').textContent = plainly(found?.refusal ?? '');
   at('seen').dispatchEvent(new CustomEvent('read', { detail: found }));
-  at('seen-status').textContent = seen?.outline ? `Outline found: ${seen.nodes} node${seen.nodes === 1 ? '' : 's'}, drape coefficient ${seen.drape_coefficient_percent.toFixed(1)} % as the camera sees it.${seen.warnings.length ? '' : ' Nothing in it is doubtful.'}` : '';
+  at('seen-status').textContent = seen?.outline ? `Outline found: ${seen.nodes} node${seen.nodes === 1 ? '' : 's'}, drape coefficient ${seen.drape_coefficient_percent.toFixed(1)} % as the camera sees it.${seen.warnings.length ? '' : ' Nothing in it is doubtful.'}${unsureHeight()}` : '';
   at('seen-warnings').replaceChildren(...(found?.warnings ?? []).map(({ text }) => {
     const [fact, ...remedy] = plainly(text).split(/(?<=: )/);
     const item = element('li', '');
     item.append(element('strong', fact), remedy.join(''));
     return item;
   }));
+}
+
+// What one picture over the mat seldom shows, and several from different places do.
+function unsureHeight() {
+  if (seen.cameras?.length !== 1 || !isOverMat()) return '';
+  return ` Is the top ${form.elements.plate_height_mm.value.trim()} mm over the mat? One picture seldom shows a wrong height, another from one side does.`;
 }
 
 // An arrow from the foot of the latest camera, or the border of the picture, to that of the next.

@@ -1,9 +1,10 @@
 // The result of an estimate: followed until its fabric is settled, shown, exported.
 
-import { ask, at, element, facts, link, own, plainly, QUANTITIES, reveal, save, texts } from './common.js';
+import { ask, at, element, facts, link, own, QUANTITIES, reveal, save, texts } from './common.js';
 import { showAlike } from './alike.js';
 import { addTo, ended } from './form.js';
 import { showHeadline } from './headline.js';
+import { plainly } from './words.js';
 
 const POLL = 400; // ms between two looks at a running estimate
 const LONGEST_WAIT = 5000; // ms between two tries where the service does not answer
@@ -154,7 +155,7 @@ async function showEarlier(id) {
 // Those that the fabric's other estimates have found, above all the joint one.
 function showContradictions(id, captures) {
   at('contradictions').replaceChildren(...captures.filter((one) => one.id !== id).flatMap((one) => (one.contradictions ?? [])
-    .map(({ text }) => element('li', `${one.name}: ${text}`, 'contradiction'))));
+    .map(({ text }) => element('li', `${one.name}: ${plainly(text)}`, 'contradiction'))));
 }
 
 function stage(content) {
