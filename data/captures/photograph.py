@@ -233,7 +233,10 @@ def _joined(
     if together.parted:
         azimuth, share = together.parted
         warnings.append(Finding("pictures_differ", {
-            "first": used[0].name, "second": used[1].name, "value": share, "limit": MAX_PARTED,
+            "first": used[0].name,
+            "second": used[1].name,
+            "value": share,
+            "limit": MAX_PARTED,
             "place": f"at the {side(azimuth + first_side)}"}))
     if (share := float(together.grounded.mean())) > MAX_GROUNDED:
         here = around(together.grounded.astype(float), -first_side) > 0.5
