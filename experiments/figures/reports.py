@@ -52,10 +52,12 @@ def coverage(found: dict) -> str:
     return "{:.0f}, {:.0f}, {:.0f} %".format(*shares_inside(found))
 
 
-def coverage_error(found: dict) -> float:
-    """How far the coverage of an interval is off, percentage points."""
-    return max(abs(share - float(level.strip("%")))
-               for level, share in zip(found["inside"], shares_inside(found), strict=True))
+def coverage_error(found: dict) -> tuple[float, float]:
+    """How far the coverage of an interval is off, and its standard error, percentage points."""
+    errors = [100 * one.get("error", 0) if isinstance(one, dict) else 0
+              for one in found["inside"].values()]
+    return max((abs(share - float(level.strip("%"))), error) for level, share, error in
+               zip(found["inside"], shares_inside(found), errors, strict=True))
 
 
 def strip_coverage(report: Report) -> Report:
@@ -85,8 +87,8 @@ def evaluated(report: Report) -> Report:
              for band in bands.values()]
     return {rig: {kind: report["cells"][tester][name] | {"coverage": coverage(
         report["cells"][tester][name])} for kind, name in kinds.items()}
-        for rig, tester in RIGS.items() if tester in report["cells"]} | {
-        "off": max(map(coverage_error, bands), default=None)}
+        for rig, tester in RIGS.items() if tester in report["cells"]} | dict(zip(
+            ("off", "off_error"), max(map(coverage_error, bands), default=(None, 0)), strict=True))
 
 
 def detected_faults(report: Report) -> Report:
@@ -100,7 +102,7 @@ def refined(report: Report) -> Report:
     """Error of the refinement over the network's, and how far its coverage is off."""
     network, last = (report["summary"]["all"][who] for who in ("network", "refined"))
     return {"ratio": last["log_alpha"] / network["log_alpha"], "fabrics": last["fabrics"],
-            "coverage": coverage(last), "off": coverage_error(last)}
+            "coverage": coverage(last), "off": coverage_error(last)[0]}
 
 
 DERIVED: dict[str, Callable[[Report], Report]] = {
