@@ -19,6 +19,7 @@ from common.command import command
 from common.configs import Workers
 from common.errors import InputError, one_line
 from common.files import replace_json, require_file
+from common.provenance import machine
 from drapenet.network.checkpoint import read_header
 from experiments.report import markdown
 
@@ -50,7 +51,9 @@ def main(config: BenchmarkConfig) -> None:
                for name, estimator in zip(names, estimators, strict=True)}
     samples["truth"] = [case.truth[None] for case in cases]  # of drapes without nuisances
     scores = {name: score(cases, part, workers=config.workers) for name, part in samples.items()}
-    replace_json(out, {"weights_sha256": read_header().sha256, "scores": scores})
+    replace_json(out, {
+        "machine": machine(), "weights_sha256": read_header().sha256,
+                       "scores": scores})
     print(f"{table_of(scores)}\nscores: {out}")
 
 

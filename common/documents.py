@@ -9,6 +9,7 @@ import re
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar, get_args
 
@@ -46,9 +47,13 @@ class Schema(BaseModel):
             inner = [part for part in get_args(field.annotation) if hasattr(part, "model_fields")
                      ] if field else []
             for count, models in enumerate(([cls], inner), start=1):
-                if models and any(len(fault["loc"]) == count and fault["type"] == "extra_forbidden"
-                                  for fault in error.errors()):
-                    remedies.append(f"the keys are {', '.join(models[0].model_fields)}")
+                unknown = [str(fault["loc"][-1]) for fault in error.errors() if len(
+                    fault["loc"]) == count and fault["type"] == "extra_forbidden"]
+                if models and unknown:
+                    keys = models[0].model_fields
+                    meant = [near for name in unknown for near in get_close_matches(name, keys, 1)]
+                    remedies[:0] = [f"do you mean {', '.join(meant)}"] if meant else []
+                    remedies.append(f"the keys are {', '.join(keys)}")
             raise InputError("; ".join([faults(error), *filter(None, remedies)]), source=what
                              ) from None
 
@@ -63,11 +68,13 @@ _PLAIN = {"float_type": "is not a number; write digits alone, without a unit",
           "int_type": "is not a whole number",
           "string_pattern_mismatch": "has characters that are not taken",
           "model_type": "must be 'key: value' pairs in braces",
-          "greater_than": "must be more than {gt:g}",
-          "greater_than_equal": "must be at least {ge:g}",
-          "less_than": "must be less than {lt:g}",
-          "less_than_equal": "must be at most {le:g}"}
+          "greater_than": "must be more than {gt:g}{unit}",
+          "greater_than_equal": "must be at least {ge:g}{unit}",
+          "less_than": "must be less than {lt:g}{unit}",
+          "less_than_equal": "must be at most {le:g}{unit}"}
 """Sentences in place of Pydantic's, by the type of fault, with its limit."""
+_UNITS = {"_g_m2": " g/m²", "_mm": " mm", "_percent": " %", "_deg": "°", "_n_per_m": " N/m"}
+"""By the ends of keys."""
 
 
 def faults(error: ValidationError) -> str:
@@ -84,7 +91,8 @@ def faults(error: ValidationError) -> str:
         elif re.fullmatch(r"[+-]?\d{1,9},\d{1,9}", shown(fault["input"]).strip("'")):
             lines.append(f"{name}={fault['input']} has a decimal comma; write a point")
         elif fault["type"] in _PLAIN:
-            said = _PLAIN[fault["type"]].format(**fault.get("ctx", {}))
+            unit = next((unit for end, unit in _UNITS.items() if name.endswith(end)), "")
+            said = _PLAIN[fault["type"]].format(**fault.get("ctx", {}), unit=unit)
             lines.append(f"{name}={shown(fault['input'])} {said}")
         else:
             value = f"{name}={shown(fault['input'])}" if name else ""

@@ -3,12 +3,14 @@
 import functools
 import hashlib
 import json
+import os
 import platform
 import subprocess
 from contextlib import suppress
 from dataclasses import asdict, is_dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -91,3 +93,13 @@ def environment() -> dict[str, object]:
     """Full provenance in JSON types, at the first call: a checkout may change during a long run."""
     return {"code": code_state(), "python": platform.python_version(),
             "packages": package_versions(*PACKAGES), "processor": processor()}
+
+
+def machine() -> dict[str, Any]:
+    """Processor, number of cores and versions of packages, of reports."""
+    return {
+        "processor": processor(),
+        "cores": os.cpu_count(),
+        "python": platform.python_version(),
+        **package_versions("numpy", "numba", "scipy", "torch"),
+    }

@@ -1,8 +1,6 @@
 """Reports of studies, their figures and tables."""
 
 import json
-import os
-import platform
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -10,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from common.files import replace_json
-from common.provenance import package_versions, processor
+from common.provenance import machine
 from drapenet.network.checkpoint import read_header
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -20,20 +18,9 @@ Report = dict[str, Any]
 """Report of a study, of JSON types."""
 
 
-def machine() -> dict:
-    """Processor, number of cores, versions of packages, and the bundled weights."""
-    return {
-        "processor": processor(),
-        "cores": os.cpu_count(),
-        "python": platform.python_version(),
-        **package_versions("numpy", "numba", "scipy", "torch"),
-        "weights_sha256": read_header().sha256,
-    }
-
-
 def write_report(path: Path, content: Report) -> None:
-    """Write a report and the machine."""
-    replace_json(path, {"machine": machine(), **content})
+    """Write a report, the machine and the bundled weights."""
+    replace_json(path, {"machine": machine(), "weights_sha256": read_header().sha256, **content})
 
 
 def read_report(name: str) -> Report:

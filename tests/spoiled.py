@@ -153,8 +153,13 @@ def _manifest(folder: Path) -> None:
     """That of a finished dataset."""
     sampling = {"testers": ["disc300_support180"], "random_testers": 0.0}
     replace_json(folder / MANIFEST, {
-        "schema_version": SCHEMA_VERSION, "drapes": 3, "identity": "abc", "complete": True,
-        "hash": "def", "shards": {"a.h5": "1"}, "config": {"sampling": sampling, "prior": {}}})
+        "schema_version": SCHEMA_VERSION,
+        "drapes": 3,
+        "identity": "abc",
+        "complete": True,
+        "hash": "def",
+        "shards": {"a.h5": "1"},
+        "config": {"sampling": sampling, "prior": {}}})
 
 
 def _prior(name: str) -> Start:

@@ -351,8 +351,13 @@ def test_a_rejected_refinement_is_not_shown_as_the_estimate(
     capture, checkpoint, out, monkeypatch, capsys
 ):
     rejected = SimpleNamespace(draws=None, content={
-        "misfit_before": math.inf, "misfit": 20.0, "simulations": 15,
-        "failed_simulations": 0, "status": "interrupted", "message": "", "specimen": {}},
+        "misfit_before": math.inf,
+        "misfit": 20.0,
+        "simulations": 15,
+        "failed_simulations": 0,
+        "status": "interrupted",
+        "message": "",
+        "specimen": {}},
         warnings=(Finding("refinement_no_better"),),
         resimulation=SimpleNamespace(as_dict=dict, warnings=[Finding("silhouette_differs")]))
     monkeypatch.setattr("drapenet.refine.refine.refine_capture", lambda *_, **__: rejected)

@@ -147,8 +147,11 @@ class Clarity:
         warnings += jagged_hem(self.unlike, where)
         if lean > MAX_LEAN:
             warnings.append(Finding("camera_beside", {
-                "value": lean, "limit": MAX_LEAN, "beside": 1e3 * float(np.hypot(x, y)),
-                "height": 1e3 * float(height), "next": where,
+                "value": lean,
+                "limit": MAX_LEAN,
+                "beside": 1e3 * float(np.hypot(x, y)),
+                "height": 1e3 * float(height),
+                "next": where,
                 "place": f"at the {side(float(np.arctan2(-y, -x)))}"}))
         return place, warnings
 

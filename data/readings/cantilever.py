@@ -57,6 +57,10 @@ def _rigidity_micro(cloth: ClothProperties, density: Density) -> np.ndarray:
     return flexural_rigidity(*moduli_at(cloth, density), density) / MICRO
 
 
+def _rigidity_mg_cm(cloth: ClothProperties, density: Density) -> np.ndarray:
+    return flexural_rigidity(*moduli_at(cloth, density), density) / MG_CM
+
+
 BENDING_LENGTHS = (5.0, 150.0)  # mm, that a laboratory may have read
 # Assumed errors: the standards at hand state none.
 QUANTITIES = (
@@ -66,4 +70,6 @@ QUANTITIES = (
              limits=(10.0, 300.0)),
     Quantity("flexural_rigidity_uN_m", 3, 0.15, _rigidity_micro, "flexural rigidity G [µN·m]",
              limits=(0.05, 2e4)),
+    Quantity("flexural_rigidity_mg_cm", 3, 0.15, _rigidity_mg_cm, "flexural rigidity G [mg·cm]",
+             limits=(0.5, 2e5)),
 )

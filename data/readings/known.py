@@ -38,8 +38,8 @@ class _Stated(Schema):
     kind of cloth is read by networks that know kinds."""
 
     remedy = ("known has values such as bending_length_mm: {warp: 22, weft: 18} or "
-              "membrane_n_per_m: 600, and error_percent; values of FAST-3 and KES-FB1 stand "
-              "beside it, in values.yaml or tension.yaml")
+              "membrane_n_per_m: 600, and error_percent; stretch_warp_n_per_m, shear_n_per_m and "
+              "values of FAST-3 and KES-FB1 stand beside it, in values.yaml or tension.yaml")
     error_percent: dict[str, Annotated[float, Field(gt=0, le=100)]] = Field(
         default_factory=dict, title="standard deviations in place of the assumed ones, such as "
                                     "{bending_length_mm: 3}")

@@ -4,7 +4,7 @@ A tool with one modulus per direction gets the secant of the torque at a curvatu
 stiffness in a drape; one whose hinges buckle gets two. What is not known keeps the tool's default.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -114,16 +114,17 @@ def export(material: Material, name: str, out: Path) -> list[Path]:
 
 
 def export_beside(file: Path, names: Sequence[str]) -> str:
-    """Write the targets ``names`` beside an ``estimate.json``; lines with the files' names, and
-    what tools' defaults stand for in them."""
+    """Write the targets ``names`` beside an ``estimate.json``, and those again that are there of an
+    estimate before; lines with the files' names, and what tools' defaults stand for in them."""
     material = read_material(file)
-    written = export_all(material, names, file.parent)
+    before = [name for name, target in TARGETS.items() if (file.parent / target.file).exists()]
+    written = export_all(material, dict.fromkeys([*names, *before]), file.parent)
     unknown = ", ".join(material.not_known)
     return f"exports:  {file.parent}: {', '.join(path.name for path in written)}" + (
         f"\nnot known, so that tools keep their defaults: {unknown}" if unknown else "")
 
 
-def export_all(material: Material, names: Sequence[str], folder: Path) -> list[Path]:
+def export_all(material: Material, names: Iterable[str], folder: Path) -> list[Path]:
     """Write the targets ``names`` to a folder, under their usual file names."""
     return [path for name in names for path in export(material, name, folder / TARGETS[name].file)]
 

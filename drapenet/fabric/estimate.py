@@ -260,7 +260,8 @@ def join(
     captures = [evidence for part in parts if (evidence := part.evidence)]
     records = [record for document in documents for record in document.records]
     density = documents[0].density
-    names = ("", "the capture", "the captures")
+    names = ("", "the drape coefficient" if documents[0].capture.reported else "the capture",
+             "the captures")
     stated = [each.stated for each in captures]
     draws, contradictions = infer_jointly(captures, header, stated_of(stated, density, records))
     estimate = combine(draws, evidence_of(records, stated, density), density, header,

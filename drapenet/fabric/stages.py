@@ -85,7 +85,8 @@ class CaptureEstimate:
         """From the pictures and what is known of the fabric."""
         capture = self.capture
         return combine(self.draws, of_values(capture.known, capture.density), capture.density,
-                       self.header, name="the capture")
+                       self.header, name="the drape coefficient" if isinstance(
+                           capture, ReportedCapture) else "the capture")
 
     @cached_property
     def document(self) -> EstimateDocument:

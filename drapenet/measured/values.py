@@ -24,8 +24,9 @@ class ValuesDescription(WeighedPiece, TensionDescription):
     """``values.yaml``: the keys of ``tension.yaml``, and a drape coefficient in ``known``."""
 
     remedy = "docs/use.md shows an example"
-    nothing: ClassVar[str] = ("nothing is measured; give known, such as bending_length_mm: {warp: "
-                              "22, weft: 18}, or stretch and shear, such as kes_g_gf_per_cm_deg")
+    nothing: ClassVar[str] = ("nothing tells how it bends or stretches; a strip and a ruler are "
+                              "enough: known, such as overhang_mm: {warp: 44}; or give "
+                              "bending_length_mm, or stretch and shear, as kes_g_gf_per_cm_deg")
     file, content, typed = FILE, "density_g_m2 and known, or stretch and shear", False
 
     @property

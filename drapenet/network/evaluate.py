@@ -15,7 +15,7 @@ import common.interrupt  # noqa: F401
 
 # isort: split
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, get_args
@@ -27,6 +27,7 @@ from common.command import command, compose_config
 from common.documents import read_json
 from common.errors import InputError
 from common.files import folder_named, replace_json, require_folder
+from common.provenance import machine
 from common.types import Theta
 from data.dataset.config import DatasetConfig, Options, config_from_options
 from data.dataset.generate import generate_dataset
@@ -278,7 +279,8 @@ def main(config: EvaluateConfig) -> None:
     known = {name: cell for name, cell in CELLS.items() if cell.kind in header.config.inputs
              and len(cell.condition.sizes) <= config.drapes_per_fabric}
 
-    content: dict[str, Any] = {"checkpoint": header.identity, "spread": header.spread.tolist(),
+    content: dict[str, Any] = {"machine": machine(), "settings": asdict(config),
+                               "checkpoint": header.identity, "spread": header.spread.tolist(),
                                "cells": {tester: {} for tester in config.testers}}
     for tester, cells in content["cells"].items():
         for name, found in judged(header, tester, known, config):

@@ -101,8 +101,12 @@ class CaptureAbout(Excerpt):
     @property
     def pictures_sha256(self) -> tuple[str, ...]:
         """The digests there are; empty for numbers, which two fabrics may share."""
-        numbers = self.known and self.known.drape_coefficient_percent and not self.views
-        return () if numbers else tuple(filter(None, self.digests))
+        return () if self.reported else tuple(filter(None, self.digests))
+
+    @property
+    def reported(self) -> bool:
+        """Whether it is a drape coefficient without any picture."""
+        return bool(self.known and self.known.drape_coefficient_percent and not self.views)
 
 
 class Cloth(Excerpt):
@@ -413,5 +417,5 @@ def _kes_note(laboratory: Mapping[str, Mapping[str, Any]]) -> str:
     names = [f"{name} ({100 * readings[share]:.0f} %)" for name, readings in laboratory.items()
              if not readings["kes_b_gf_cm2_per_cm"]]
     return f"KES B and 2HB are not given along {', '.join(names)}: in that share of the samples " \
-           f"(at most {100 * MAX_OUTSIDE_SHARE:g} %) the fabric softens below 1.5 1/cm, so that " \
-           "its moduli do not determine them" if names else ""
+           "the fabric softens below 1.5 1/cm, so that its moduli do not determine them; up to " \
+           f"{100 * MAX_OUTSIDE_SHARE:g} % is allowed" if names else ""

@@ -95,4 +95,6 @@ def add_pages(app: FastAPI, settings: ServeConfig) -> None:
 def _manual_page(text: str) -> bytes:
     html = markdown(text, extensions=["tables", "fenced_code",
                                       TocExtension(slugify=slugify_unicode)])
+    # Links to files of the checkout lead nowhere here.
+    html = re.sub(r'<a href="\.\./[^"]*">(.*?)</a>', r"\1", html, flags=re.DOTALL)
     return render("manual.html", title=text.partition("\n")[0].lstrip("# "), text=Markup(html))

@@ -211,7 +211,10 @@ def size_checks(sizes: Sizes, limit: float) -> Iterator[Check]:
         measured = "x".join(f"{ratio * float(side):.0f}" for side in stated.split("x"))
         shown = f"{measured} mm (stated: {stated})" if np.isfinite(size) else "not seen"
         yield Check(name, shown, Finding(code, {
-            "value": float(ratio), "low": float(low), "high": float(high), "measured": measured,
+            "value": float(ratio),
+            "low": float(low),
+            "high": float(high),
+            "measured": measured,
             "stated": stated}) if ratio < low or ratio > high else None)
 
 

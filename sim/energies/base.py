@@ -139,6 +139,9 @@ def check(energy: Energy, q: StateVector, edges: Edges, *, seed: int = 0) -> Non
     state with non-zero energy. InputError if ``dofs`` have another form, a derivative deviates
     from the differences, or the convex Hessian is not positive semi-definite."""
     name, dofs = type(energy).__name__, dofs_of(energy)
+    if not energy.value(q):
+        raise InputError(f"{name} is 0 at this state, where nothing can be compared; give a state "
+                         "in which it acts")
     unknowns, rng = len(q) - 2 * len(edges), np.random.default_rng(seed)
     if dofs.max(initial=-1) >= unknowns:
         raise InputError(f"{name}.dofs: {dofs.max()} is beyond the {unknowns} unknowns")

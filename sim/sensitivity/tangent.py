@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from common.arguments import require
+from common.errors import InputError
 from common.types import Points, StateVector
 from sim.cloth import Cloth
 from sim.energies.self_contact import SelfContact, contact_near
@@ -70,7 +71,12 @@ class Tangent:
         return 3 * len(self.cloth.scene.mesh.rest)
 
     def response(self, force: np.ndarray) -> np.ndarray:
-        """Moves H⁻¹ f (U,) under a ``force`` f (U,), N; NaN if the tangent is not ok."""
+        """Moves H⁻¹ f (U,) under a ``force`` f (U,), N; NaN if the tangent is not ok. U unknowns
+        are the 3 V coordinates of vertices, then the turn of each of E edges."""
+        expected = self.coordinates + len(self.cloth.scene.mesh.edges)
+        if np.shape(force) != (expected,):
+            raise InputError(f"force has the shape {np.shape(force)}; it must have ({expected},): "
+                             "3 V coordinates and E turns of edges")
         if not self.ok:
             return np.full(len(force), np.nan)
         potential = self.cloth.potential

@@ -2,7 +2,7 @@
 
 import { at, element, unfold } from './common.js';
 import {
-  chosen, descriptions, drapes, form, isDescribed, isOtherSize, isOverMat, isRectangle, isScan, limits, suffix, usesSetup, values,
+  chosen, descriptions, drapes, form, isDescribed, isOtherSize, isOverMat, isRectangle, isScan, isWeighed, limits, suffix, usesSetup, values,
 } from './fields.js';
 import { number } from './support.js';
 import { PARTS, plainly } from './words.js';
@@ -86,6 +86,7 @@ export function fault() {
   if ((density === '' && !isDescribed() && !isFurther) || Number.isNaN(Number(density))) {
     return ['Weigh the specimen: its g/m², such as 210, or its grams.', 'density_g_m2'];
   }
+  if (isWeighed() && !at('other-unit').hidden) return [at('other-unit').textContent, 'density_g_m2'];
   const wrong = usesSetup() ? testerFault() : null;
   if (wrong || !isOverMat() || !drapes().length || form.elements.plate_height_mm.value.trim()) return wrong;
   return ['Measure how high the top that the cloth lies on is over the mat.', 'plate_height_mm'];

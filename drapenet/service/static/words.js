@@ -26,10 +26,15 @@ function labels() {
   return found;
 }
 
+// Sentences whose remedy the page has in another form than files.
+const SAID = [[/the scale is not known: .*/, 'the scale is not known: lay the printed mat under the stand, or drag the dashed circle to the edge of the plate’s top, and state how far above it the camera was']];
+
 // What is said of a file, and of what files state, keeps its keys.
 function withLabels(sentence) {
   const said = sentence.replace(/; (known has values|outline is) such as .*/, '').replace(/^(outline|known) (has )?/, '').replaceAll(/, such as \{[^}]*\}/g, '').replace(/^(tension|strips)\.(\d+)(?= has )/, (all, list, k) => `strip ${Number(k) + 1}`);
   if (/\.yaml\b/.test(said) || isDescribed()) return sentence;
+  const other = SAID.find(([from]) => from.test(said));
+  if (other) return said.replace(...other);
   const found = labels();
   const keys = Object.keys(found).sort((one, other) => other.length - one.length).join('|').replaceAll('.', '\\.');
   return said.replaceAll(new RegExp(`(?<![\\w.])(?:outline\\.|known\\.)?(${keys})(?!\\w|\\.\\w)=?`, 'g'), (all, key) => `“${found[key]}”${all.endsWith('=') ? ' = ' : ''}`);
