@@ -49,8 +49,14 @@ ESTIMATE = estimate_of(np.array([120.0, 90.0, 100.0]) * MICRO, np.full(3, -90 * 
 def document(
     *, beta: np.ndarray = BETA, warnings: tuple[Finding, ...] = (), **about: object
 ) -> EstimateDocument:
-    capture = {"source": "/data/navy/1/first", "rig": "disc300_support180", "density_g_m2": 210.0,
-               "views": 4, "drape_coefficient_percent": 54.3, "nodes": 5, "labels": LABELS}
+    capture = {
+        "source": "/data/navy/1/first",
+        "rig": "disc300_support180",
+        "density_g_m2": 210.0,
+        "views": 4,
+        "drape_coefficient_percent": 54.3,
+        "nodes": 5,
+        "labels": LABELS}
     return document_of(estimate_of(ALPHA, beta, deviation=0.02), capture=capture | about,
                        warnings=warnings, resimulation={
                            "drape_coefficient_percent": 55.5, "folds_simulated": 6})
