@@ -51,8 +51,7 @@ def main(config: BenchmarkConfig) -> None:
                for name, estimator in zip(names, estimators, strict=True)}
     samples["truth"] = [case.truth[None] for case in cases]  # of drapes without nuisances
     scores = {name: score(cases, part, workers=config.workers) for name, part in samples.items()}
-    replace_json(out, {
-        "machine": machine(), "weights_sha256": read_header().sha256,
+    replace_json(out, {"machine": machine(), "weights_sha256": read_header().sha256,
                        "scores": scores})
     print(f"{table_of(scores)}\nscores: {out}")
 
