@@ -34,6 +34,7 @@ _EDGE = 0.1, 1.0  # share of that in which it rises, least and most
 _HIGH = 0.03  # of half a size, its deviation
 _ORDERS = np.arange(40)  # of their waves
 _ALIKE = 0.3, 20.0  # those that count, least and most
+CURLED = 10.0  # 1/m, natural curvature of cloth that counts as curled
 _MEAN_SAMPLE = 1000  # captures used for mean and deviation of the distances
 LEAST_HEIGHT = 0.5  # m, of the camera above the plate
 PICTURE_OFFSET = 0.010  # of the outline's centre, in half sizes: 1.5 mm of a specimen of 300 mm
@@ -147,6 +148,11 @@ class CaptureSet:
 
     def __len__(self) -> int:
         return len(self.members)
+
+    @property
+    def curled(self) -> np.ndarray:
+        """Mask (N,) of the cloth that counts as curled."""
+        return np.abs(self.cloth.curl).max(axis=1) > CURLED
 
     def network(self, config: ModelConfig) -> dict:
         """Arguments of :func:`drapenet.network.model.make_network` for these captures."""

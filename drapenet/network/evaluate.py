@@ -36,7 +36,7 @@ from data.fabrics.nuisances import KINDS
 from data.fabrics.prior import TablePrior, log_stiffness
 from data.rigs import named_tester
 from drapenet.config import EvaluateConfig, Input
-from drapenet.network.captures import CaptureSet, Condition, readable
+from drapenet.network.captures import CURLED, CaptureSet, Condition, readable
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.dataset import Maps, make_maps
 from drapenet.network.expected import LEVEL
@@ -54,7 +54,7 @@ COEFFICIENTS = (20.0, 40.0, 60.0, 80.0)
 """Borders of the bands of drape coefficients, %."""
 STIFFNESSES = (4.0, 16.0, 64.0, 200.0)
 """Borders of the bands of stiffness, µN·m at 300 g/m²."""
-CLOTHS = (*KINDS, "curled by more than 10 1/m", "bias softer than the yarns by a third",
+CLOTHS = (*KINDS, f"curled by more than {CURLED:g} 1/m", "bias softer than the yarns by a third",
           "yarns beyond 4:1")
 """Kinds of fabrics, of which one may be several."""
 DEPTH = (1.0, 0.0, 0.0)
@@ -190,7 +190,7 @@ def _cloths(captures: CaptureSet) -> np.ndarray:
     warp, bias, weft = alpha.T
     return np.column_stack([
         *(captures.kind == k for k in range(len(KINDS))),
-        np.abs(captures.cloth.curl).max(axis=1) > 10, bias - (warp + weft) / 2 < np.log(2 / 3),
+        captures.curled, bias - (warp + weft) / 2 < np.log(2 / 3),
         np.abs(warp - weft) > np.log(4)])
 
 

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 _VALIDATION_BATCH = 128
 _SCALES = np.geomspace(1.0, 3.0, 12).tolist()
-_CALIBRATED = 16  # sets of each fabric
+_CALIBRATED = 16  # sets for each fabric, on average
 _DRAWN = 500  # samples of each of their posteriors
 LEAST_CALIBRATING = 20  # fabrics
 _APART = 1 << 40  # of numbers of fabrics and drapes of several datasets
@@ -301,7 +301,11 @@ def calibrate(checkpoint: Path, captures: CaptureSet, config: TrainConfig) -> No
     model = load_model(header)
     rng = np.random.default_rng(config.seed)
     condition, drawn = Condition.of_inputs(config.inputs), []
-    cloths = np.tile(np.arange(len(captures)), _CALIBRATED)
+    # As many sets of each kind of cloth and of curled cloth: errors of the rare ones are larger.
+    kinds = np.where(captures.curled, -1, captures.kind)
+    groups = [np.flatnonzero(kinds == kind) for kind in np.unique(kinds)]
+    cloths = np.concatenate([rng.choice(group, len(captures) * _CALIBRATED // len(groups))
+                             for group in groups])
     for rows in np.array_split(cloths, -(-len(cloths) // _VALIDATION_BATCH)):
         batch, facts = captures.batch(rows, condition, rng, symmetric=False)
         samples = sample_targets(Loaded(model), header, batch, facts.known)
