@@ -112,9 +112,10 @@ at('files').addEventListener('change', async () => {
 at('override').addEventListener('change', chooseByFiles);
 at('seen').addEventListener('read', ({ detail: found }) => { // of another mat than the form states
   const [, shows] = /shows the mat (\w+), not the mat/.exec(found?.refusal ?? '') ?? [];
-  at('no-mat').hidden = !isOverMat() || !found?.refusal || Boolean(shows);
+  at('no-mat').hidden = !isOverMat() || !found?.refusal || Boolean(shows) || /must be|try again/.test(found.refusal);
   if (!isOverMat() || !shows) return;
   form.elements.mat.value = shows;
+  at('seen-refusal').textContent = '';
   at('mat-said').textContent = `The picture shows the ${shows.toUpperCase()} mat, which is chosen now.`;
   form.elements.mat.dispatchEvent(new Event('change', { bubbles: true }));
 });

@@ -38,6 +38,8 @@ export function look(content, delay = DELAY) {
     at('seen-refusal').textContent = '';
     at('seen-warnings').replaceChildren();
     svg.toggleAttribute('hidden', true);
+    at('seen').hidden = false;
+    at('seen-status').textContent = 'Reading the photograph …';
   }
   if (content) timer = setTimeout(read, delay);
   else show(null);
