@@ -106,7 +106,12 @@ def refined(report: Report) -> Report:
 
 
 DERIVED: dict[str, Callable[[Report], Report]] = {
-    "strip_photographs": strip_coverage, "outlines": outline_folds, "evaluation": evaluated,
-    "evaluation_flat": evaluated, "faults": detected_faults,
-    "refine_views": refined, "refine_views_real": refined, "refine_scans": refined}
+    "strip_photographs": strip_coverage,
+    "outlines": outline_folds,
+    "evaluation": evaluated,
+    "evaluation_flat": evaluated,
+    "faults": detected_faults,
+    "refine_views": refined,
+    "refine_views_real": refined,
+    "refine_scans": refined}
 """Figures of claims that are computed from a report."""
