@@ -25,7 +25,7 @@ def test_a_bench_without_a_picture_gives_files_for_tools(page, width, height):
     page.locator("#error", has_text="Choose the specimen and plate").wait_for()
     page.select_option("#bench-tester", "disc300_support180")
     page.click("text=Estimate from values")
-    page.locator("[id='error-tension.1.extension_mm']", has_text="extension_mm -9").wait_for()
+    page.locator("[id='error-tension.1.extension_mm']", has_text="-9").wait_for()
     assert page.evaluate("document.activeElement.dataset.pulled") == "weft"
     page.fill("[data-pulled=weft]", "9")
     page.evaluate("scrollTo(0, 0)")
