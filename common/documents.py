@@ -95,9 +95,9 @@ def faults(error: ValidationError) -> str:
             said = _PLAIN[fault["type"]].format(**fault.get("ctx", {}), unit=unit)
             lines.append(f"{name}={shown(fault['input'])} {said}")
         else:
-            value = f"{name}={shown(fault['input'])}" if name else ""
             # Sentences of the project's validators go on after the value, or the key of several.
-            value = name if isinstance(fault["input"], dict) else value
+            alone = not name or isinstance(fault["input"], dict)
+            value = name if alone else f"{name}={shown(fault['input'])}"
             lines.append(f"{value}: {text}".replace(": Value error, ", " ").strip(": "))
     keys = [f"unknown key{'s' * (len(unknown) > 1)} {', '.join(unknown[:12])}"] if unknown else []
     return "; ".join([*keys, *lines][:3])

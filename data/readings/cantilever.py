@@ -58,7 +58,7 @@ def _rigidity_micro(cloth: ClothProperties, density: Density) -> np.ndarray:
 
 
 def _rigidity_mg_cm(cloth: ClothProperties, density: Density) -> np.ndarray:
-    return flexural_rigidity(*moduli_at(cloth, density), density) / MG_CM
+    return MICRO / MG_CM * _rigidity_micro(cloth, density)
 
 
 BENDING_LENGTHS = (5.0, 150.0)  # mm, that a laboratory may have read

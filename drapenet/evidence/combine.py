@@ -87,7 +87,7 @@ def _fitting(
         if min(probability(source, base) for source in doubtful) >= LEVEL / len(doubtful):
             break
         # Not what fits least: the cloth may have been drawn from several towards a wrong source.
-        rests = [[source for source in kept if source is not one] for one in doubtful]
+        rests = [_without(kept, [one]) for one in doubtful]
         k = int(np.argmin([_misfit(prior, rest) for rest in rests]))
         kept = rests[k]
         states = updated(prior, kept)
@@ -163,18 +163,19 @@ def _least_probable(
 
 def _undecided(tests: Sequence[list[Source]],
                others: Callable[[Sequence[Source]], Normal]) -> str:
-    """That of two tests either may be wrong, by a value of one that may be a slip, if one is."""
-    said = []
+    """That of two tests either may be wrong, by the values that may be slips, or any if none is."""
+    said: dict[bool, list[str]] = {True: [], False: []}
     for right, doubted in (tests, tests[::-1]):
         cloth = others(right)
         worst = min(doubted, key=lambda source: probability(source, cloth))
         found = worst.contradiction("", cloth.samples(_TESTED))
         expected = found.values.get("expected", np.nan)
-        said.append((found.code, f"by {right[0].test} {worst.label} would be {expected:.3g}"
-                                 f"{found.values.get('slip', '')}"))
+        slip = found.values.get("slip", "")
+        said[bool(slip)].append(
+            f"by {right[0].test} {worst.label} would be {expected:.3g}{slip}")
     return (f"{tests[0][0].test} and {tests[1][0].test} contradict each other, and nothing else "
-            f"says which is right: {max(said)[1]}; check units, fabric and density_g_m2, and leave "
-            "the wrong test out")
+            f"says which is right: {' or '.join(said[True] or said[False][:1])}; check units, "
+            "fabric and density_g_m2, and leave the wrong test out")
 
 
 def _without_exchanged(
@@ -187,7 +188,7 @@ def _without_exchanged(
     for other in sound:
         if other.key != key or not other.exchanged:
             continue
-        rest = [one for one in sound if one is not other]
+        rest = _without(sound, [other])
         cloth = others(rest)
         stated = [probability(one, cloth) for one in (wrong, other)]
         better = [probability(one, cloth) for one in (swapped, other.exchanged[0])]

@@ -192,21 +192,27 @@ class Material:
         return result_name([Path(source) for source in sources])[-MAX_LABEL_LENGTH:]
 
     @property
-    def cells(self) -> tuple[int, list[Finding]]:
-        """Number of the mesh's edges along a fold, and a finding if they are too few to show it."""
-        edge = self.settings.edge_mm
-        fold = 1e3 * np.cbrt(GAMMA * mean_modulus(self.modulus) / (self.density * GRAVITY))
-        return round(fold / edge), [Finding("edges_coarse", {
-            "value": edge, "fold": fold, "limit": fold / MIN_CELLS})
-            ] * (round(fold / edge) < MIN_CELLS)
+    def _fold_mm(self) -> float:
+        return float(1e3 * np.cbrt(GAMMA * mean_modulus(self.modulus) / (self.density * GRAVITY)))
+
+    @property
+    def _cells(self) -> int:
+        """Number of the mesh's edges along a fold."""
+        return round(self._fold_mm / self.settings.edge_mm)
+
+    @property
+    def coarse(self) -> Finding | None:
+        """That the mesh's edges are too long to show folds, if they are."""
+        return Finding("edges_coarse", {
+            "value": self.settings.edge_mm, "fold": self._fold_mm,
+            "limit": self._fold_mm / MIN_CELLS}) if self._cells < MIN_CELLS else None
 
     @property
     def ratio(self) -> float:
         """Modulus of hinges on the mesh over that of the equivalent plate."""
-        cells, coarse = self.cells
-        if coarse:
-            raise InputError(coarse[0].text)
-        return hinge_ratio(self.settings.mesh, cells)
+        if coarse := self.coarse:
+            raise InputError(coarse.text)
+        return hinge_ratio(self.settings.mesh, self._cells)
 
     @property
     def about(self) -> dict[str, Any]:
@@ -215,7 +221,7 @@ class Material:
         capture = content["capture"]
         document = self.document
         found = [*document.warnings, *(document.advice or []), *document.mostly_usual,
-                 *self.cells[1]]
+                 *filter(None, [self.coarse])]
         if document.names != DIRECTIONS:
             found.append(Finding("warp_unmarked"))
         outside = np.any(-self.beta * curvature > SOFTENING_LIMIT * self.alpha)

@@ -44,6 +44,11 @@ def combine(
     return replace(estimate, contradictions=tuple(contradictions))
 
 
+def one_capture(reported: bool) -> str:
+    """Names a capture that samples come from; ``reported``: a drape coefficient alone."""
+    return "the drape coefficient" if reported else "the capture"
+
+
 def evidence_of(
     records: Sequence[Record], stated: Sequence[Known | None], density: Density
 ) -> list[Source]:

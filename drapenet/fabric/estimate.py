@@ -21,7 +21,7 @@ from common.types import Density
 from data.captures.description import NEED_WARP
 from data.readings.quantity import MAX_DENSITY_DIFFERENCE
 from drapenet.config import EstimateOptions
-from drapenet.fabric.combine import combine, evidence_of, stated_of
+from drapenet.fabric.combine import combine, evidence_of, one_capture, stated_of
 from drapenet.fabric.describe import describe_jointly
 from drapenet.fabric.infer import infer_jointly
 from drapenet.fabric.next_measurements import next_measurements
@@ -138,9 +138,8 @@ def _read(
     source: Source, folder: Path | None, header: Header, options: EstimateOptions
 ) -> Part | Refusal | Measured:
     """The part of a source that is stored, or the source as it is read, or why it is refused."""
-    place, named = _place(source, folder), isinstance(source.place, Path)  # no arrays or values
-    if place and named and (stored := stored_part(
-            source, place, part_key(source, header, options))):
+    place = _place(source, folder)
+    if place and (stored := stored_part(source, place, part_key(source, header, options))):
         return stored
     try:
         return source.read()
@@ -260,8 +259,7 @@ def join(
     captures = [evidence for part in parts if (evidence := part.evidence)]
     records = [record for document in documents for record in document.records]
     density = documents[0].density
-    names = ("", "the drape coefficient" if documents[0].capture.reported else "the capture",
-             "the captures")
+    names = ("", one_capture(documents[0].capture.reported), "the captures")
     stated = [each.stated for each in captures]
     draws, contradictions = infer_jointly(captures, header, stated_of(stated, density, records))
     estimate = combine(draws, evidence_of(records, stated, density), density, header,

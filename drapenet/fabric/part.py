@@ -160,7 +160,10 @@ def part_key(source: Source, header: Header, options: EstimateOptions) -> str:
 
 def stored_part(source: Source, folder: Path, key: str) -> Part | Refusal | None:
     """The part whose files are in a folder, with this ``key`` if it is not ''; None if they are
-    missing, damaged or made from something else."""
+    missing, damaged or made from something else, or the source is of arrays or values, of which no
+    key says whether they have changed."""
+    if not isinstance(source.place, Path):
+        return None
     try:
         state = read_json(folder / PART, remedy="estimate the capture again")
         if key not in ("", state["key"]):

@@ -19,7 +19,7 @@ from data.captures.capture import Capture, OutlineCapture, ReportedCapture
 from drapenet.config import EstimateOptions
 from drapenet.evidence.source import of_values
 from drapenet.evidence.state import fabric_prior
-from drapenet.fabric.combine import combine
+from drapenet.fabric.combine import combine, one_capture
 from drapenet.fabric.describe import describe_capture
 from drapenet.fabric.infer import evidence_of, infer
 from drapenet.fabric.next_measurements import next_measurements
@@ -85,8 +85,7 @@ class CaptureEstimate:
         """From the pictures and what is known of the fabric."""
         capture = self.capture
         return combine(self.draws, of_values(capture.known, capture.density), capture.density,
-                       self.header, name="the drape coefficient" if isinstance(
-                           capture, ReportedCapture) else "the capture")
+                       self.header, name=one_capture(isinstance(capture, ReportedCapture)))
 
     @cached_property
     def document(self) -> EstimateDocument:

@@ -50,8 +50,6 @@ class StripModuli:
 
     alpha: float  # N·m
     beta: float  # N·m²
-    misfit: float  # root mean square of distances, relative to the mean length
-    curvature: float  # 1/m, largest on the curves
 
 
 @dataclass(frozen=True)
@@ -77,13 +75,10 @@ class Bezier:
         """Arc length."""
         return float(self._lengths[1][-1])
 
-    def sample(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Points (count, 2), m, equidistant in arc length, ends included, and their curvatures
-        (count,), 1/m, positive where the strip bends down."""
+    def sample(self, count: int) -> np.ndarray:
+        """Points (count, 2), m, equidistant in arc length, ends included."""
         t, s = self._lengths
-        t = np.interp(np.linspace(0.0, s[-1], count), s, t)
-        (x, y), (xx, yy) = self.at(t, 1).T, self.at(t, 2).T
-        return self.at(t), (x * yy - y * xx) / np.hypot(x, y) ** 3
+        return self.at(np.interp(np.linspace(0.0, s[-1], count), s, t))
 
 
 def bernstein(t: np.ndarray, degree: int) -> np.ndarray:
@@ -149,7 +144,7 @@ def match(curves: Sequence[DeflectionCurve], *, weight: float, slope: Radians = 
     """
     fits = [fit_bezier(curve, slope=slope) for curve in curves]
     lengths = np.array([fit.length for fit in fits])
-    shapes, curvatures = zip(*[fit.sample(POINTS) for fit in fits], strict=True)
+    shapes = [fit.sample(POINTS) for fit in fits]
 
     def strips(unknowns: np.ndarray, points: int, steps: int) -> list[np.ndarray]:
         # beta/alpha and lengths in mm: all unknowns have similar magnitudes
@@ -181,11 +176,10 @@ def match(curves: Sequence[DeflectionCurve], *, weight: float, slope: Radians = 
                        bounds=bounds, diff_step=1e-4, x_scale=scale) for band in BANDS),
         key=lambda result: result.cost,
     )
-    misfit = float(np.sqrt((best.fun**2).mean()))
-    if misfit > MAX_DISTANCE:
+    if np.sqrt((best.fun**2).mean()) > MAX_DISTANCE:
         raise InputError(NOT_A_STRIP)
     alpha = float(np.exp(best.x[0]))
-    return StripModuli(alpha, float(1e-3 * best.x[1] * alpha), misfit, float(np.max(curvatures)))
+    return StripModuli(alpha, float(1e-3 * best.x[1] * alpha))
 
 
 def distance_across(curve: DeflectionCurve, model: DeflectionCurve) -> np.ndarray:

@@ -216,7 +216,8 @@ def test_a_test_in_a_wrong_unit_is_left_out_as_a_whole(header):
 
 def test_of_two_tests_alone_none_is_trusted_more(header):
     prior = state_of(fabric_prior(header))
-    for wrong, said in (({RIGIDITY: 0.1}, "unit"), ({LENGTH: 2.0}, "bending length.*overhang_mm")):
+    for wrong, said in (({RIGIDITY: 0.1}, "another unit"),
+                        ({LENGTH: 2.0}, "bending length.*overhang_mm")):
         known = readings(60, LENGTH, RIGIDITY, **wrong)
         with pytest.raises(InputError, match=f"contradict each other, .*{said}"):
             posterior(prior, of_values(known, DENSITY))

@@ -224,7 +224,9 @@ def test_a_bezier_arc_has_the_length_and_curvature_of_a_circle():
     k = 4 / 3 * (np.sqrt(2) - 1)
     arc = Bezier(np.array([[0, 0], [k, 0], [1, 1 - k], [1, 1]]) * 0.05)
     assert arc.length == pytest.approx(0.05 * np.pi / 2, rel=1e-3)
-    assert arc.sample(9)[1] == pytest.approx(np.full(9, 20.0), rel=0.03)
+    (x, y), (xx, yy) = arc.at(np.linspace(0, 1, 9), 1).T, arc.at(np.linspace(0, 1, 9), 2).T
+    assert (x * yy - y * xx) / np.hypot(x, y) ** 3 == pytest.approx(np.full(9, 20.0), rel=0.03)
+    assert np.linalg.norm(arc.sample(9) - [0, 0.05], axis=1) == pytest.approx(0.05, rel=1e-3)
     t, h = np.array([0.3, 0.6]), 1e-6
     assert np.allclose((arc.at(t + h) - arc.at(t - h)) / (2 * h), arc.at(t, 1), rtol=1e-6)
     assert np.allclose((arc.at(t + h, 1) - arc.at(t - h, 1)) / (2 * h), arc.at(t, 2), rtol=1e-6)

@@ -111,8 +111,7 @@ class StripSet(Measured):
                 raise InputError(f"{self.path / FILE}: {direction}: {error}") from None
         if self.complete:
             # Curves contain the natural curvature, which these moduli do not.
-            flat = {direction: StripModuli(found[direction].alpha, found[direction].beta,
-                                           found[direction].misfit, np.nan)
+            flat = {direction: StripModuli(found[direction].alpha, found[direction].beta)
                     for direction in self.curves}
             fabric = correct(self.curves, flat, density=self.density, rounds=ROUNDS,
                              width=self.width, slope=self.slope)
