@@ -59,6 +59,7 @@ class TrainConfig:
     validation_fraction: Annotated[float, Field(gt=0, lt=1)]
     fabrics: FromOne | None
     drapes: FromOne | None
+    tester: str | None
     device: Literal["auto", "cpu", "cuda"]
     workers: Workers
     threads: Annotated[int | None, Field(ge=1, le=1024)]

@@ -126,7 +126,8 @@ _OF_DEPTH: dict[str, np.ndarray] = {
 
 def make_maps(
     root: str | Path, manifest: dict, out: Path, *, setups: Setups, captures: int, seed: int,
-    neighbours: bool = False, outlines: int = 0, pictures: bool = False, workers: int = 1,
+    neighbours: bool = False, outlines: int = 0, pictures: bool = False, tester: Rig | None = None,
+    workers: int = 1,
 ) -> Maps:
     """Maps of ``captures`` captures of each converged drape of the dataset ``root``, cached in
     ``out``, where an interrupted run is resumed; they are made again where a shard, a setting or
@@ -137,9 +138,10 @@ def make_maps(
             for all drapes of a fabric.
         outlines: further neighbours of each fabric, of which there are outlines only.
         pictures: whether the maps have the depth views as pictures, eight times as many bytes.
+        tester: of whose drapes alone, with any rim of the plate, there are maps.
     """
     options = {"setups": setups, "captures": captures, "seed": seed, "neighbours": neighbours,
-               "outlines": outlines, "pictures": pictures}
+               "outlines": outlines, "pictures": pictures, **({"tester": tester} if tester else {})}
     folder = out / f"maps_{digest(options)[:12]}"
     # By content: shards grow when a dataset is extended, and are made again.
     cases = {sha256[:16]: {"path": Path(root) / name, "sha256": sha256, "options": options}
@@ -160,7 +162,7 @@ def _shard_case(*, path: Path, sha256: str, options: dict[str, Any]) -> dict[str
 
 def maps_of_shard(
     shard: Shard, *, setups: Setups, captures: int, seed: int, neighbours: bool, outlines: int,
-    pictures: bool = False,
+    pictures: bool = False, tester: Rig | None = None,
 ) -> Maps:
     """Maps of one shard; arguments as for :func:`make_maps`."""
     table = {name: shard.column(name) for name in _COLUMNS}
@@ -170,6 +172,8 @@ def maps_of_shard(
     for row in converged:
         drape = {name: column[row] for name, column in table.items()}
         rig = shard.rig(row)
+        if tester and replace(rig, rim=0.0) != tester:
+            continue
         positions, rest, faces = shard.mesh(row)
         mesh = Mesh(rest, faces)
         derivatives = shard.moves(row) if neighbours else None

@@ -25,6 +25,7 @@ from data.dataset.folder import finished_manifest, split_by_fabric
 from data.fabrics.prior import prior_from_content
 from data.fabrics.prior.even import spread_of
 from data.render.setups import Setups
+from data.rigs import named_tester
 from drapenet.config import OptimConfig, TrainConfig
 from drapenet.network.calibration import Calibration, seen_of
 from drapenet.network.captures import CaptureSet, Condition, readable
@@ -72,6 +73,7 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
                          "depth views alone; give inputs=[depth], or model=map")
     folders = config.data if isinstance(config.data, list) else [config.data]
     start = read_header(config.start) if config.start else None
+    tester = named_tester(config.tester) if config.tester else None
     manifests, parts = [], []
     for number, folder in enumerate(folders):
         manifests.append(finished_manifest(Path(folder)))
@@ -79,7 +81,10 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
                          setups=Setups.from_config(config.setup), captures=config.captures,
                          outlines=config.outlines * (config.inputs != ["depth"]),
                          seed=config.seed, neighbours=config.neighbours, workers=config.workers,
-                         pictures=config.model.backbone is not None)
+                         pictures=config.model.backbone is not None, tester=tester)
+        if tester:
+            manifests[-1]["config"]["sampling"] |= {
+                "testers": [tester.name], "random_testers": 0.0, "rectangles": 0.0}
         # Fabrics and drapes of different datasets are different.
         parts.append(replace(part, fabric=part.fabric + number * _APART,
                              index=part.index + number * _APART))
@@ -250,8 +255,8 @@ def log_metrics(
     for name, value in scalars.items():
         board.add_scalar(name, value, epoch)
     bar.set_postfix_str(f"epoch {epoch + 1}, loss {train_loss:.2f}, "
-                        f"validation {metrics['loss']:.2f}, "
-                        f"log alpha {metrics['rmse_log_alpha']:.3f}, "
+                        f"validation {metrics['loss']:.2f} of "
+                        f"{metrics['samples']} fabrics, log alpha {metrics['rmse_log_alpha']:.3f}, "
                         f"beta/alpha {metrics['rmse_beta_over_alpha']:.3f}")
 
 

@@ -174,17 +174,19 @@ def find_warnings(
         return [str(error)]
 
 
-def converged_drapes(root: Path) -> Iterator[tuple[Shard, int]]:
-    """Converged drapes of a dataset by shard and row; the last shards first, as networks are
-    trained on the first."""
-    for name in reversed(list(finished_manifest(root)["shards"])):
+def converged_drapes(root: Path, rig: Rig) -> Iterator[tuple[Shard, int]]:
+    """Converged drapes of a dataset on a ``rig``, with any rim, by shard and row."""
+    for name in finished_manifest(root)["shards"]:
         shard = Shard(root / name)
         for row in np.flatnonzero(shard.column("status") == "converged"):
-            yield shard, row
+            if replace(shard.rig(row), rim=0.0) == rig:
+                yield shard, row
+    raise InputError(f"{root} has too few drapes on the tester {rig.name}; give a larger dataset, "
+                     "or smaller sound= and spoiled=")
 
 
 class Keys(PlainKeys):
-    data: str = "outputs/square6"  # dataset of drapes on the square rig (make dataset)
+    data: str = "outputs/dataset"  # with drapes on the square rig (make dataset)
     sound: int = 300  # captures without faults
     spoiled: int = 20  # captures with each fault
     seed: int = 31  # of all random numbers
@@ -194,7 +196,7 @@ def run(keys: Keys) -> Report:
     """Check captures without and with faults."""
     rig = Rig()
     setups = replace(Setups.load(), views=(0.0, 0.0, 0.0, 1.0))
-    source = converged_drapes(Path(keys.data))
+    source = converged_drapes(Path(keys.data), rig)
 
     def capture(positions: np.ndarray, faces: np.ndarray, rng: Rng) -> SyntheticCapture:
         return setups.capture(positions, faces, rng, rig=rig)
