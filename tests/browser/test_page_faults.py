@@ -10,8 +10,8 @@ pytestmark = IN_BROWSER
 def test_errors_stand_where_they_arise(page):
     said = page.evaluate("async (text) => (await import('/static/words.js')).plainly(text, "
                          "'disc254_support127_rim3')", "check the scale first, then the tester")
-    assert said == ("check first that it is a disc of 254 mm on 127 mm, the sizes that “A tin or "
-                    "jar” fills in, then the scale")
+    assert said == ("check first that the specimen is a disc of 254 mm on 127 mm, the sizes that "
+                    "“A tin or jar” fills in, then the scale")
     page.click("#submit")
     assert "No picture yet" in page.inner_text("#error-files")
     page.set_input_files("#files", FILES[:-1])  # without a description

@@ -21,7 +21,7 @@ const SAID = [[/the scale is not known: .*/, 'the scale is not known: lay the pr
 function doubted(sentence, rig) {
   const name = rig.replace(/_rim.*/, '');
   const card = name && form.querySelector(`[name=support][value="${name}"]`);
-  return card ? sentence.replace(/the scale first(.*), then the tester/, `first that it is a ${tester(name)}, the sizes that “${card.closest('label').textContent.trim()}” fills in, then the scale$1`) : sentence;
+  return card ? sentence.replace(/the scale first(.*), then the tester/, `first that the specimen is a ${tester(name)}, the sizes that “${card.closest('label').textContent.trim()}” fills in, then the scale$1`) : sentence;
 }
 
 // What is said of a file, and of what files state, keeps its keys.
