@@ -146,8 +146,7 @@ def create_app(settings: ServeConfig) -> FastAPI:
 @router.post("/estimates", status_code=202, openapi_extra={"requestBody": _FORM})
 async def begin(request: Request, jobs: Service, client: Client) -> dict[str, str]:
     """Upload a capture, a scan, strips, strips under weights or known values and start their
-    estimate; `fabric` adds them to a fabric.
-    """
+    estimate; `fabric` adds them to a fabric."""
     try:
         jobs.places.take(client)
         try:
@@ -236,8 +235,7 @@ def like_this_one(
 @router.post("/estimates/{identity}/garment", status_code=202)
 def garment(found: Finished, jobs: Service, client: Client) -> None:
     """Start the preview of an estimate: garment.png and garment.glb, skirts of twelve of its
-    samples, in about a minute.
-    """
+    samples, in about a minute."""
     jobs.preview(found["id"], client)
 
 
@@ -267,8 +265,7 @@ def estimate_zip(
 @router.get("/estimates/{identity}/{file}", response_class=FileResponse)
 def file(identity: str, file: str, jobs: Service) -> FileResponse:
     """A file of an estimate: estimate.json, report.png, strips.png, report.html, report.pdf,
-    drape.glb, torque.svg, preview.png, or garment.png and garment.glb of a preview.
-    """
+    drape.glb, torque.svg, preview.png, or garment.png and garment.glb of a preview."""
     folder = jobs.settings.folder / jobs.row("estimate", identity)["id"]
     if file not in FILES:
         raise RequestError(404, f"no such file; there are {', '.join(FILES)}")

@@ -16,8 +16,7 @@ from drapenet.service.database import DONE, FAILED, LOST, database_in
 if TYPE_CHECKING:
     from drapenet.report.overview import FabricEstimate
 
-_COMPARED = 200
-"""Fabrics that are compared with one: the nearest in weight. To read them takes a second."""
+_COMPARED = 200  # fabrics, the nearest in weight: to read them takes a second
 _PUBLISHED = 2
 REFUSED = "refused.txt"
 """In the zip of all files of an estimate: the exports that are not in it, and why."""
@@ -88,13 +87,11 @@ def alike(results: Path, identity: str, count: int) -> list[dict[str, Any]]:
     identity of their result."""
     from drapenet.alike import like, read, typical
 
-    def weight(row: Mapping[str, Any]) -> float:
-        return float(row["estimate"]["capture"]["density_g_m2"])
-
     database, others = database_in(results), []
     this: Any = database.estimate(identity)
+    weight = this["estimate"]["capture"]["density_g_m2"]
     rows = [row for row in database.fabrics(()) if row["result"] and row["id"] != this["fabric"]]
-    rows.sort(key=lambda row: abs(weight(row) - weight(this)))
+    rows.sort(key=lambda row: abs(row["estimate"]["capture"]["density_g_m2"] - weight))
     for row in rows[:_COMPARED]:
         with suppress(InputError):  # removed meanwhile
             others.append(replace(read(results / row["result"]), name=row["name"],

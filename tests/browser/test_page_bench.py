@@ -28,7 +28,6 @@ def test_a_bench_without_a_picture_gives_files_for_tools(page, width, height):
     page.locator("[id='error-tension.1.extension_mm']", has_text="-9").wait_for()
     assert page.evaluate("document.activeElement.dataset.pulled") == "weft"
     page.fill("[data-pulled=weft]", "9")
-    page.evaluate("scrollTo(0, 0)")
     keep(page, f"page_bench_{width}.png")
     page.click("text=Estimate from values")
     page.wait_for_selector("#downloads:not([hidden])")
@@ -39,3 +38,5 @@ def test_a_bench_without_a_picture_gives_files_for_tools(page, width, height):
     assert card["fThickness"] == 0.42 and 30e3 < card["fHK"] < 38e3 and 3e6 < card["fSuK"] < 5e6
     keep(page, f"page_bench_result_{width}.png")
     assert fits(page)
+    page.click("#next-specimen")
+    assert page.input_value("[name='known.overhang_mm.warp']") == ""

@@ -60,8 +60,8 @@ def test_fabrics_like_a_result_are_named_and_compared(page, service):
     identities = [post(service, density).json()["id"] for density in (333.0, 340.0, 700.0)]
     [wait_until_ended(service, identity) for identity in identities]
     page.goto(f"{service.url}/#{identities[0]}")
-    page.locator("#alike-first", has_text="Like this one: fabric of 340 g/m², 80 %").wait_for()
     page.click("#alike-first")
+    page.locator("#alike-first", has_text="Like this one: fabric of 340 g/m², 80 %").wait_for()
     rows = page.locator("#alike-rows tr")
     assert "warp +2, bias +2, weft +2, weight +2 %" in rows.first.inner_text()
     assert "KES B" in rows.last.inner_text() and "below 5 %" in rows.last.inner_text()

@@ -8,6 +8,10 @@ pytestmark = IN_BROWSER
 
 
 def test_errors_stand_where_they_arise(page):
+    said = page.evaluate("async (text) => (await import('/static/words.js')).plainly(text, "
+                         "'disc254_support127_rim3')", "check the scale first, then the tester")
+    assert said == ("check first that the specimen is a disc of 254 mm on 127 mm, the sizes that "
+                    "“A tin or jar” fills in, then the scale")
     page.click("#submit")
     assert "No picture yet" in page.inner_text("#error-files")
     page.set_input_files("#files", FILES[:-1])  # without a description
@@ -39,6 +43,8 @@ def test_errors_stand_where_they_arise(page):
     assert page.is_hidden("#other-unit")
     page.goto(page.url.partition("#")[0] + "#" + "x" * 22)
     page.locator("#failure", has_text="no such estimate").wait_for()
+    page.click("header a:has-text('Testers and cameras')")
+    page.locator(".note", has_text="“Length of its printed scale”").wait_for()
 
 
 def test_lost_connection_goes_on(page, service):

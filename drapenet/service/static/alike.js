@@ -15,8 +15,16 @@ function row(id, { fabric, place, source, alike, differences }) {
   return made;
 }
 
-// Shown unless another result is on the page by then, or the service cannot say.
-export async function showAlike(id, isShown) {
+// Compared once unfolded, which takes the service a second; unless another result is on the page by then, or it cannot say.
+export function showAlike(id, isShown) {
+  at('alike').hidden = false;
+  at('alike-first').textContent = 'Like this one';
+  at('alike-rows').replaceChildren();
+  at('alike').ontoggle = () => at('alike').open && !at('alike-rows').hasChildNodes() && compareWithOthers(id, isShown);
+  at('alike').ontoggle();
+}
+
+async function compareWithOthers(id, isShown) {
   const found = await ask(`/estimates/${encodeURIComponent(id)}/alike`).catch(() => []);
   if (!isShown()) return;
   const [first] = found;

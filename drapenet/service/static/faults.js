@@ -4,8 +4,9 @@ import { at, element, unfold } from './common.js';
 import {
   chosen, descriptions, drapes, form, isDescribed, isOtherSize, isOverMat, isRectangle, isScan, isWeighed, limits, suffix, usesSetup, values,
 } from './fields.js';
-import { number } from './support.js';
-import { PARTS, plainly } from './words.js';
+import { PARTS } from './labels.js';
+import { areaOf, number, testerName } from './support.js';
+import { plainly } from './words.js';
 
 const WORDS = ['name', 'support', 'weighed', 'notes', 'label', 'face', 'unit', 'tester', 'mat', 'arrow', 'centred', 'angles', 'kind', 'files', 'date', 'operator', 'laboratory', 'camera', 'remarks'];
 
@@ -77,6 +78,16 @@ export function testerFault() {
   return null;
 }
 
+// Asks for the other unit of the weight where that which is chosen makes it no usual cloth's, but the other does.
+export function unitFault() {
+  const [typed, area] = [number(at('density')), areaOf(testerName())];
+  const isUsual = (value) => value >= Number(limits.light) && value <= Number(limits.heavy);
+  const [as, other] = isWeighed() ? [typed / area, typed] : [typed, typed / area];
+  if (!(typed > 0 && area && !isUsual(as) && isUsual(other))) return '';
+  return isWeighed() ? `No cloth is so heavy. Is it ${typed} g/m²? Choose g/m²`
+    : `Few cloths are so light. Does the specimen weigh ${typed} grams, ${Number(other.toPrecision(3))} g/m²? Choose grams`;
+}
+
 export function fault() {
   if (!chosen().length && !values().length) return ['No picture yet: take one from straight above, or open "I have files", or state values.', 'files'];
   if (fileFault()) return fileFault();
@@ -86,7 +97,7 @@ export function fault() {
   if ((density === '' && !isDescribed() && !isFurther) || Number.isNaN(Number(density))) {
     return ['Weigh the specimen: its g/m², such as 210, or its grams.', 'density_g_m2'];
   }
-  if (isWeighed() && !at('other-unit').hidden) return [at('other-unit').textContent, 'density_g_m2'];
+  if (isWeighed() && unitFault()) return [unitFault(), 'density_g_m2'];
   const wrong = usesSetup() ? testerFault() : null;
   if (wrong || !isOverMat() || !drapes().length || form.elements.plate_height_mm.value.trim()) return wrong;
   return ['Measure how high the top that the cloth lies on is over the mat.', 'plate_height_mm'];

@@ -31,9 +31,10 @@ async function chooseByFiles() {
 
 function check() {
   clear();
-  for (const field of form.querySelectorAll('[data-placed]')) { // in another photograph
+  for (const field of form.querySelectorAll('[data-placed], [data-estimated]')) { // in or with another photograph
     field.value = '';
     delete field.dataset.placed;
+    delete field.dataset.estimated;
   }
   at('override').hidden = !isDescribed() || isBesideDrapes();
 }

@@ -14,11 +14,11 @@ let fabric = null; // of the next capture; null: a new one
 let sent = null; // the estimate that this form has sent last
 let broken = null; // the new fabric whose only capture failed; sending again replaces it
 
-// If this form has sent an estimate that has ended: its values are not those of the next fabric, or
-// the field of its error is marked.
+// If this form has sent an estimate that has ended: its values leave with its pictures, or the field of
+// its error is marked.
 export function ended(id, { state, error: sentence }) {
   if (id !== sent?.id) return;
-  if (state === 'done') for (const field of values()) field.value = '';
+  if (state === 'done') for (const field of values()) field.dataset.estimated = '';
   if (!sentence) return;
   broken = sent.added ? null : sent.fabric;
   sent = null;
@@ -33,10 +33,10 @@ async function isNamed() {
   return texts.some((text) => /^fabric *:/m.test(text)) || chosen().some((file) => suffix(file.name) === '.zip');
 }
 
-// Day and time, such as 2026-11-30 14:05.
+// Day and time, such as 2026-11-30 14:05:36.
 function today() {
   const now = new Date();
-  return new Date(now - 60000 * now.getTimezoneOffset()).toISOString().slice(0, 16).replace('T', ' ');
+  return new Date(now - 60000 * now.getTimezoneOffset()).toISOString().slice(0, 19).replace('T', ' ');
 }
 
 // An example states its own weight; others have the one that was typed, grams only for their own specimen.
@@ -121,6 +121,7 @@ function nextSpecimen() {
 at('next-specimen').addEventListener('click', nextSpecimen);
 at('into-none').addEventListener('click', () => addTo(null));
 at('density').addEventListener('input', () => { at('kept').hidden = true; });
+form.addEventListener('input', ({ target }) => { delete target.dataset.estimated; });
 form.addEventListener('submit', (event) => {
   event.preventDefault();
   send();

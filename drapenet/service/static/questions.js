@@ -1,9 +1,9 @@
 // The questions: which fields others make necessary, which are still open, and what the answers say.
 
 import { at, element, tester as inWords, unfold } from './common.js';
-import { chosen, density, drapes, form, isCertainlyPhotograph, isDrape, isOtherSize, isOverMat, isPhotograph, isRectangle, isScan, isWeighed, kind, limits, suffix, usesSetup } from './fields.js';
-import { fileFault, testerFault } from './faults.js';
-import { areaOf, number, setTester, testerName } from './support.js';
+import { chosen, density, drapes, form, isCertainlyPhotograph, isDrape, isOtherSize, isOverMat, isPhotograph, isRectangle, isScan, isWeighed, kind, suffix, usesSetup } from './fields.js';
+import { fileFault, testerFault, unitFault } from './faults.js';
+import { areaOf, setTester, testerName } from './support.js';
 
 // Whether the service is asked how it reads a photograph: it has what it needs for that.
 export function hasPhotograph() {
@@ -45,16 +45,6 @@ export function questions() {
     .flatMap((isOpen, k) => (isOpen ? [k + 1] : []));
 }
 
-// Asks for the other unit of the weight where that which is chosen makes it no usual cloth's, but the other does.
-function askUnit() {
-  const [typed, area] = [number(at('density')), areaOf(testerName())];
-  const isUsual = (value) => value >= Number(limits.light) && value <= Number(limits.heavy);
-  const [as, other] = isWeighed() ? [typed / area, typed] : [typed, typed / area];
-  at('other-unit').hidden = !(typed > 0 && area && !isUsual(as) && isUsual(other));
-  at('other-unit').textContent = isWeighed() ? `No cloth is so heavy. Is it ${typed} g/m²? Choose g/m²`
-    : `Few cloths are so light. Does the specimen weigh ${typed} grams, ${Number(other.toPrecision(3))} g/m²? Choose grams`;
-}
-
 // The fields that others make necessary.
 export function showFields() {
   for (const label of form.querySelectorAll('.sizes')) label.hidden = !isOtherSize();
@@ -75,7 +65,8 @@ export function showAnswers() {
   for (const card of form.elements.support) card.checked = card.value === one;
   at('support-said').textContent = areaOf(name) ? `${inWords(name).replace(' on ', ' on a top of ').replace(/^./, (letter) => letter.toUpperCase())}.` : '';
   at('of-tins')?.toggleAttribute('hidden', one !== 'disc254_support127');
-  askUnit();
+  at('other-unit').textContent = unitFault();
+  at('other-unit').hidden = !unitFault();
   at('weight-said').textContent = !isWeighed() ? '' : at('density').value.trim() === '' ? 'Of the whole specimen.' : density() ? `${Number(Number(density()).toPrecision(3))} g/m², for its area.`
     : areaOf(name) ? '' : 'Its area follows from what it lies on.';
   const isAnswered = [areaOf(name), !form.elements.mat.value || form.elements.plate_height_mm.value.trim(), density()];

@@ -94,7 +94,7 @@ function show(id, content) {
   if (before?.state !== content.state) ended(id, content);
   const warnings = content.estimate?.warnings ?? content.warnings ?? [];
   const contradictions = content.estimate?.contradictions ?? [];
-  at('warnings').replaceChildren(...warnings.map(({ text }) => element('li', plainly(text), contradictions.some((found) => found.text === text) ? 'contradiction' : '')));
+  at('warnings').replaceChildren(...warnings.map(({ text }) => element('li', plainly(text, content.estimate?.capture.rig), contradictions.some((found) => found.text === text) ? 'contradiction' : '')));
   if (content.estimate) {
     showHeadline(content.estimate);
     showNumbers(content.estimate);
