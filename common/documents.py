@@ -166,18 +166,18 @@ class _Loader(yaml.SafeLoader):
 
     def mapping_of(self, node: Any) -> dict:
         """Construct a mapping whose keys differ."""
-        mapping = {}
+        mapping, before = {}, ""
         for key_node, value_node in node.value:
             key = self.construct_object(key_node, deep=True)
             if value_node.value == "" and _DECIMALS.fullmatch(str(key_node.value)):
-                raise InputError(f"a decimal comma before {key_node.value}; write a point, "
-                                 "such as 305.0")
+                raise InputError(f"{before},{key_node.value} has a decimal comma; write a point")
             if comment := _glued_comment(value_node):
                 raise InputError(f"{key_node.value}: {comment} is a comment there and would be "
                                  "dropped; put the whole value in quotes, or a space after #")
             if key in mapping:
                 raise yaml.YAMLError(f"the key {shown(key)} occurs twice; remove one")
             mapping[key] = self.construct_object(value_node, deep=True)
+            before = f"{key}={value_node.value}" * isinstance(value_node.value, str)
         return mapping
 
 

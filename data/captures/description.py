@@ -201,15 +201,18 @@ class WeighedPiece(Weighed):
         if content.get("density_g_m2") is not None:
             raise ValueError("weight_g and density_g_m2 both state the density; give one of them")
         area, tester = content.get("specimen_cm2"), content.get("tester")
-        if isinstance(area, int | float) and area > 0:
-            return {**content, "density_g_m2": 1e4 * weight / area}
-        if tester is None:
+        sized, (low, high) = isinstance(area, int | float) and area > 0, DENSITY_RANGE
+        if tester is None and not sized:
             raise ValueError("weight_g is of the whole specimen; state tester, which has its size, "
                              "or specimen_cm2")
         try:
-            return {**content, "density_g_m2": weight / read_tester(tester).specimen_area}
+            area = area if sized else 1e4 * read_tester(tester).specimen_area
         except InputError as error:
             raise ValueError(f"tester={shown(tester)} {error}") from None
+        if not low <= (density := 1e4 * weight / area) <= high:
+            raise ValueError(f"weight_g={weight:g} of {area:.4g} cm² is {density:.3g} g/m², not "
+                             f"{low:g} to {high:g}: give grams, and its area")
+        return {**content, "density_g_m2": density}
 
     @model_validator(mode="after")
     def _weighed(self: W) -> W:

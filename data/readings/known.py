@@ -8,7 +8,6 @@ from pydantic import Field, create_model, field_validator, model_validator
 from common.documents import Schema
 from data.fabrics.nuisances import KINDS
 from data.readings import QUANTITIES
-from data.readings.quantity import Quantity
 from sim.material import DIRECTIONS
 
 MIN_COEFFICIENT = 0.02  # of a drape, from 0 to 1; the plate alone has 0
@@ -107,12 +106,9 @@ class _Stated(Schema):
         return self.error_percent.get(name, 100 * QUANTITIES[name].error) / 100
 
 
-def _field(quantity: Quantity) -> tuple[Any, Any]:
-    """Pydantic's type and default of a quantity."""
-    return (ByDirection | None if quantity.directions > 1 else _Positive | None), None
-
-
-_FIELDS: dict[str, Any] = {name: _field(each) for name, each in QUANTITIES.items()}
+_FIELDS: dict[str, Any] = {
+    name: (ByDirection | None if each.directions > 1 else _Positive | None, None)
+    for name, each in QUANTITIES.items()}
 Known = create_model("Known", __base__=_Stated, **_FIELDS)
 """Content of the key ``known``."""
 

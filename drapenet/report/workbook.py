@@ -9,8 +9,8 @@ from xlsxwriter.worksheet import Worksheet
 
 from common.findings import texts
 from data.captures.description import UNLABELLED
-from drapenet.measured.base import Quantity
 from drapenet.result.document import COLUMNS, MAX_OUTSIDE_SHARE, EstimateDocument
+from drapenet.result.tables import ENDS, at_ends
 
 QUANTITIES = {"alpha_uN_m": ("α", "µN·m", "0.0"), "beta_nN_m2": ("β", "nN·m²", "0"),
               "drape_stiffness_uN_m": ("stiffness in a drape", "µN·m", "0.0"),
@@ -23,19 +23,20 @@ STRETCH = ("stretch, of bias: shear", "N/m", "0.0")
 """The same of what strips under weights measure."""
 FAILED = ("fabric", "sample", "capture", "reason")
 NOTES = (
-    "Each line is a direction: warp, bias and weft, or stiff, bias and soft where the direction of "
-    "the warp was not stated.",
-    "face: up if the marked face of the fabric was on top in the drape, also where nothing was "
-    "stated, down if it was below; of captures of both, both; empty where nothing was draped.",
-    "low and high: the true value lies between them with a probability of 68 %.",
+    "Each line is a direction: warp, bias and weft, or stiff, bias and soft where the warp was "
+    "not marked.",
+    "face: up, the marked one on top, also where nothing was stated, or down; of captures of both, "
+    "both; empty where nothing was draped.",
+    "low68, high68: the true value lies between them with a probability of 68 %; low90, high90: "
+    "90 %.",
     "All values are at the mass per area of the fabric; those of testers are computed from α and "
     "β. A fabric's drape coefficient and nodes are means over its captures, empty if these "
     "are of several testers.",
     f"KES B and 2HB are empty where more than {100 * MAX_OUTSIDE_SHARE:g} % of the samples of the "
     "estimate soften below 1.5 1/cm, so that the moduli do not determine them; 'KES not "
     "determined' is their share.",
-    "poorly constrained: what was measured says little of this modulus along this direction, or of "
-    "the ratio of the yarns, so that its value is mostly that of usual fabrics.",
+    "poorly constrained: what was measured says little of this modulus, or of the ratio of the "
+    "yarns, so that its value is mostly that of usual fabrics.",
     "A fabric without an estimate has one line, with its reason; the sheet failures lists all.")
 
 
@@ -88,10 +89,9 @@ def _columns(names: Sequence[str], further: Sequence[str]) -> dict[str, str]:
     """Number formats by column of a sheet whose first cells are ``names``."""
     names = [*names, "mass per area [g/m²]", "tester", "face", "direction"]
     return {**dict.fromkeys(names, "0"),
-            **{f"{name} {end} [{unit}]": text
-               for name, unit, text in (*QUANTITIES.values(), STRETCH)
-               for end in ("median", "low", "high")},
-            **{f"{name} {end}": "0.0" for name in further for end in ("median", "low", "high")},
+            **{f"{name}{end or ' median'} [{unit}]": text
+               for name, unit, text in (*QUANTITIES.values(), STRETCH) for end in ENDS},
+            **{f"{name}{end or ' median'}": "0.0" for name in further for end in ENDS},
             "poorly constrained": "@", "KES not determined [%]": "0.0",
             "drape coefficient [%]": "0.0", "nodes": "0.0",
             **dict.fromkeys(UNLABELLED.columns, "@"),
@@ -135,7 +135,7 @@ def _rows(sample: Sample | Unestimated, further: Sequence[str]) -> list[list[str
                     for key, value in record.columns().items()}
         numbers = [number for value in (*(quantities[key] for key in QUANTITIES), stretch,
                                         *(measured.get(key) for key in further))
-                   for number in _ends(value)]
+                   for number in at_ends(value)]
         poor = ", ".join(
             each.replace("beta/alpha", "β").replace("alpha", "α").removesuffix(f" {name}")
             for each in document.poorly_constrained if name in each)
@@ -145,8 +145,3 @@ def _rows(sample: Sample | Unestimated, further: Sequence[str]) -> list[list[str
                      "; ".join(texts(document.advice or [])), len(document.warnings),
                      "; ".join(texts(document.warnings))])
     return rows
-
-
-def _ends(quantity: Quantity | None) -> list[float | None]:
-    """Median and 68 % interval."""
-    return [None] * 3 if quantity is None else [quantity.median, *quantity.interval_68]

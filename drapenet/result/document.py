@@ -226,13 +226,12 @@ class EstimateDocument(Excerpt):
         names, first = estimate.names, estimate.names[0]
         shares = estimate.constraint
         poor = [name for name, share in shares.items() if share > POORLY_CONSTRAINED]
-        laboratory = _readings(estimate)
         document = cls.model_validate({
             "schema": SCHEMA, "schema_version": SCHEMA_VERSION,
             "convention": f"{first}/{names[2]}", "capture": capture,
             "moduli": _moduli(estimate, estimate.density),
             "moduli_at_300_g_m2": _moduli(estimate, REFERENCE_DENSITY),
-            "laboratory": laboratory, "kes_note": _kes_note(laboratory),
+            "laboratory": _readings(estimate),
             "correlations": {
                 "of": [f"{'log ' if k < 3 else ''}{name}"
                        for k, name in enumerate(estimate.modulus_names)],
@@ -245,7 +244,17 @@ class EstimateDocument(Excerpt):
             "cloth": _properties(estimate),
             "checkpoint": checkpoint, **sections, "warnings": list(warnings),
             "contradictions": list(estimate.contradictions)})
-        return document.model_copy(update={"assumed": [*document._assumptions()]})
+        return document.model_copy(update={"assumed": [*document._assumptions()],
+                                           "kes_note": document._kes_note()})
+
+    def _kes_note(self) -> str:
+        """Where KES readings are not given, and those stated; empty if none."""
+        names = [f"{name} ({100 * readings.kes_b_outside_law_probability:.0f} %)"
+                 for name, readings in self.laboratory.items() if not readings.kes_b_gf_cm2_per_cm]
+        stated = "".join(f"; stated is {each}" for each in self.known_values if "KES " in each)
+        return f"KES B and 2HB are not given along {', '.join(names)}: in that share of the " \
+               "samples the fabric softens below 1.5 1/cm, so that its moduli do not determine " \
+               f"them; up to {100 * MAX_OUTSIDE_SHARE:g} % is allowed{stated}" if names else ""
 
     def _assumptions(self) -> Iterator[Finding]:
         """What is assumed of the values that are stated, and which directions they leave to the
@@ -409,13 +418,3 @@ def _readings(estimate: Estimate) -> dict[str, Any]:
             **(_quantities(bending, k) if within else dict.fromkeys(bending)),
             "kes_b_outside_law_probability": round(share, 3)}
     return readings
-
-
-def _kes_note(laboratory: Mapping[str, Mapping[str, Any]]) -> str:
-    """Directions along which KES readings are not given; empty if none."""
-    share = "kes_b_outside_law_probability"
-    names = [f"{name} ({100 * readings[share]:.0f} %)" for name, readings in laboratory.items()
-             if not readings["kes_b_gf_cm2_per_cm"]]
-    return f"KES B and 2HB are not given along {', '.join(names)}: in that share of the samples " \
-           "the fabric softens below 1.5 1/cm, so that its moduli do not determine them; up to " \
-           f"{100 * MAX_OUTSIDE_SHARE:g} % is allowed" if names else ""

@@ -9,6 +9,8 @@ from drapenet.result.document import COLUMNS, EstimateDocument
 
 ROLES = ("warp_or_stiff", "bias", "weft_or_soft")
 """Directions in tables whose fabrics need not all have a marked warp."""
+ENDS = ("", "_low68", "_high68", "_low90", "_high90")
+"""Of columns' names: of median and intervals."""
 _FORMULA = tuple("=+-@\t\r\n")  # first characters of cells that spreadsheets evaluate
 
 
@@ -33,11 +35,14 @@ def row_of(document: EstimateDocument) -> dict[str, str]:
 
 def interval_columns(name: str, quantity: Quantity | None) -> dict[str, str]:
     """Median and intervals as columns of a CSV table; empty for None."""
-    columns = [name, *(f"{name}_{end}{level}" for level in (68, 90) for end in ("low", "high"))]
-    if quantity is None:
-        return dict.fromkeys(columns, "")
-    values = [quantity.median, *quantity.interval_68, *quantity.interval_90]
-    return dict(zip(columns, map(csv_number, values), strict=True))
+    return {f"{name}{end}": "" if value is None else csv_number(value)
+            for end, value in zip(ENDS, at_ends(quantity), strict=True)}
+
+
+def at_ends(quantity: Quantity | None) -> list[float | None]:
+    """Median and intervals, as :data:`ENDS`."""
+    return [None] * len(ENDS) if quantity is None else [
+        quantity.median, *quantity.interval_68, *quantity.interval_90]
 
 
 def csv_number(value: float) -> str:

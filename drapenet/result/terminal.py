@@ -35,20 +35,16 @@ def terminal_text(document: EstimateDocument) -> str:
                   f"{refined.simulations} simulations ({refined.status}): half the sum of "
                   "squared deviations over their errors"]
     lines += [line for record in document.records if record.bends for line in record.lines()]
-    head = [f"{'':8}{'bending length':>14}{'rigidity G':>14}"]
-    if document.has_kes:
-        head.append(f"{'KES B':>18}{'KES 2HB':>18}")
-    lines.append("".join(head))
-    for name, readings in document.laboratory.items():
-        secant, hysteresis = readings.kes_b_gf_cm2_per_cm, readings.kes_2hb_gf_cm_per_cm
-        cells = [f"{readings.bending_length_mm.texts()[0] + ' mm':>14}",
-                 f"{readings.flexural_rigidity_uN_m.texts()[0] + ' µN·m':>14}"]
-        if secant and hysteresis:
-            cells += [f"{secant.texts()[0] + ' gf·cm²/cm':>18}",
-                      f"{hysteresis.texts()[0] + ' gf·cm/cm':>18}"]
-        elif document.has_kes:
-            cells.append(f"{'–':>18}{'–':>18}")
-        lines.append(f"{name:8}{''.join(cells)}")
+    kes = document.has_kes
+    lines.append(f"{'':8}{'bending length':>14}{'rigidity G':>14}"
+                 + f"{'KES B':>18}{'KES 2HB':>18}" * kes)
+    for name, each in document.laboratory.items():
+        cells = [(14, each.bending_length_mm, "mm"), (14, each.flexural_rigidity_uN_m, "µN·m"), *[
+            (18, each.kes_b_gf_cm2_per_cm, "gf·cm²/cm"),
+            (18, each.kes_2hb_gf_cm_per_cm, "gf·cm/cm")] * kes]
+        lines.append(f"{name:8}" + "".join(
+            f"{f'{value.texts()[0]} {unit}' if value else '–':>{width}}"
+            for width, value, unit in cells))
     lines += [line for record in document.records if not record.bends for line in record.lines()]
     lines += [document.kes_note] * bool(document.kes_note)
     cloth = document.cloth

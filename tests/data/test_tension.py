@@ -164,8 +164,11 @@ def test_half_a_clip_counts_and_half_is_its_error(tmp_path):
     ([strip_of("warp", 500, gauge=200.0), strip_of("warp", 1000, gauge=200.0) |
       {"extension_mm": 23.0}], "tension_differs"),  # slipped
     ([strip_of("bias", 25) | {"load_g": 1000.0}], "tension_unusual"),
+    ([strip_of("warp", 1000) | {"load_g": 10.0}], "tension_soft"),
 ])
 def test_strips_that_contradict_each_other_or_all_fabrics_are_named(tmp_path, strips, code):
     found = told(tmp_path, *strips).findings
     assert [one.code for one in found] == [code]
     assert strips[0]["direction"] in found[0].text or "shear" in found[0].text
+    found = told(tmp_path, *strips, known={"cloth": "knit"}).findings
+    assert bool(found) == (code != "tension_soft")

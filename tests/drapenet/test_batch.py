@@ -120,9 +120,10 @@ def test_the_spreadsheet_has_the_numbers_of_the_tables_with_units(out):
         for name, unit, key in (("α", "µN·m", "alpha_uN_m"),
                                 ("bending length", "mm", "bending_length_mm"),
                                 ("KES B", "gf·cm²/cm", "kes_b_gf_cm2_per_cm")):
-            for end, suffix in (("median", ""), ("low", "_low68"), ("high", "_high68")):
-                value = row.get(f"{name} {end} [{unit}]")
-                assert value == (pytest.approx(float(table[f"{role}_{key}{suffix}"]), rel=1e-5)
+            for end in ("", " low68", " high90"):
+                value = row.get(f"{name}{end or ' median'} [{unit}]")
+                column = f"{role}_{key}{end.replace(' ', '_')}"
+                assert value == (pytest.approx(float(table[column]), rel=1e-5)
                                  if table[f"{role}_{key}"] else None)
         assert row["drape coefficient [%]"] == float(table["drape_coefficient_percent"])
         assert row["nodes"] == float(table["nodes"]) > 0

@@ -4,6 +4,7 @@ import io
 import json
 import re
 from base64 import b64decode, b64encode
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,6 @@ import numpy as np
 import pytest
 import trimesh
 from estimates import DOUBT, document_of, estimate_of
-from matplotlib.figure import Figure
 from PIL import Image
 from scipy.spatial import cKDTree
 
@@ -72,18 +72,18 @@ def joint(*parts: EstimateDocument) -> EstimateDocument:
 
 @pytest.fixture(scope="module")
 def picture() -> bytes:
-    figure = Figure(figsize=(5, 5))
-    figure.subplots().plot([0, 1])
-    file = io.BytesIO()
-    figure.savefig(file, format="png")
-    return file.getvalue()
+    """Of a report's size."""
+    stream = io.BytesIO()
+    Image.fromarray(np.full((1275, 1300, 3), 128, np.uint8)).save(stream, "PNG")
+    return stream.getvalue()
 
 
 def written(
-    out: Path, document: EstimateDocument, captures: list[ShownCapture]
+    out: Path, document: EstimateDocument, captures: Sequence[ShownCapture] = ()
 ) -> tuple[str, bytes]:
     """The page, with single spaces, and the PDF."""
-    write_report(out, fabric_name(document), document, captures)
+    write_report(out, fabric_name(document), document,
+                 captures or [ShownCapture("navy", document, b"")])
     return " ".join((out / PAGE).read_text("utf-8").split()), (out / PDF).read_bytes()
 
 
@@ -106,26 +106,27 @@ def test_columns_of_simulated_drapes_are_where_one_was_simulated(tmp_path):
     with_one = document()
     without = with_one.model_copy(update={"resimulation": None})
     for part, count in ((with_one, 2), (without, 0)):  # coefficient and nodes
-        page, _ = written(tmp_path, part, [ShownCapture("navy", part, b"")])
+        page, _ = written(tmp_path, part)
         assert page.count(">simulated</th>") == count
 
 
 def test_a_report_says_that_rectangles_have_too_few_simulated_nodes(tmp_path):
     for rig in ("disc300_support180", "rectangle170x250_cylinder90"):
         part = document(rig=rig)
-        page, _ = written(tmp_path, part, [ShownCapture("navy", part, b"")])
+        page, _ = written(tmp_path, part)
         assert ("the intervals lean on the drape coefficient" in page) == rig.startswith("rect")
 
 
 def test_values_of_kes_outside_the_law_are_not_given(tmp_path):
-    part = document(beta=SOFTENING)
-    page, _ = written(tmp_path, part, [ShownCapture("navy", part, b"")])
+    part = document(beta=SOFTENING, known={"kes_b_gf_cm2_per_cm": {"warp": 0.085}})
+    page, _ = written(tmp_path, part)
     note = part.content()["kes_note"]
+    assert note.endswith("; stated is KES B [gf·cm²/cm] warp: 0.085")
     assert re.match(r"KES B and 2HB are not given along warp \(100 %\), bias \(\d+ %\): ", note)
     assert f"<li>{note}.</li>" in page and note in terminal_text(part)
     assert page.count(">–</td>") == terminal_text(part).count("   –") == 4
     part = document(beta=3 * SOFTENING)  # nowhere determined
-    page, _ = written(tmp_path, part, [ShownCapture("navy", part, b"")])
+    page, _ = written(tmp_path, part)
     assert "KES 2HB [" not in page
     assert "not given along warp (100 %), bias (100 %), weft (100 %)" in part.kes_note
     assert part.kes_note in terminal_text(part) and "KES 2HB  " not in terminal_text(part)
@@ -159,13 +160,13 @@ def test_a_report_names_captures_and_no_paths(tmp_path):
     assert "what is known by 3/third, which is refused" in page
     single = document(warnings=(Finding("part_has_warning", {
         "label": "/data/navy/1/first", "first": DOUBT.record}),))
-    page, _ = written(tmp_path, single, [ShownCapture("first", single, b"")])
+    page, _ = written(tmp_path, single)
     assert "/data" not in page and "Twill 7/8, navy has 1 warning" in page
 
 
-def test_smaller_pictures_save_a_second_page(picture):
+def test_smaller_print_saves_a_second_page(picture):
     image = f'<p><img src="data:image/png;base64,{b64encode(picture).decode()}" width="535"></p>'
-    for lines, pages in ((10, 1), (14, 1), (18, 2)):  # the picture is 189 mm high, or 142
+    for lines, pages in ((10, 1), (20, 1), (28, 2)):  # the picture is 189 mm high, or 142
         body = "".join("<p>line</p>" for _ in range(lines)) + image
         assert f"/Count {pages}".encode() in as_pdf(body, "", picture)
 
@@ -177,7 +178,7 @@ def scanned(code: bytes) -> str:
 
 def test_the_code_of_a_report_has_the_identity_and_figures_or_the_address(tmp_path):
     part = document()
-    page, _ = written(tmp_path, part, [ShownCapture("first", part, b"")])
+    page, _ = written(tmp_path, part)
     code, = re.findall(r'class="code" src="data:image/png;base64,([^"]+)"', page)
     line = scanned(b64decode(code))
     stored = EstimateDocument.of(json.loads(json.dumps(part.content())), "")
@@ -188,17 +189,10 @@ def test_the_code_of_a_report_has_the_identity_and_figures_or_the_address(tmp_pa
     assert scanned(Passport("x", address).code) == address
 
 
-def test_the_report_of_a_capture_is_one_page_with_its_code(tmp_path):
-    part = document(warnings=(DOUBT,))
-    _, pdf = written(tmp_path, part, [ShownCapture("first", part, report_picture())])
+def test_a_report_with_warnings_is_one_page(tmp_path, picture):
+    part = document(warnings=(DOUBT,) * 6)
+    _, pdf = written(tmp_path, part, [ShownCapture("first", part, picture)])
     assert b"/Count 1" in pdf
-
-
-def report_picture() -> bytes:
-    """A picture of a report's size."""
-    stream = io.BytesIO()
-    Image.fromarray(np.full((1275, 1300, 3), 128, np.uint8)).save(stream, "PNG")
-    return stream.getvalue()
 
 
 def test_drape_coefficients_are_averaged_by_tester(tmp_path):

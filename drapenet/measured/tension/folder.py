@@ -72,7 +72,8 @@ class TensionSet(Measured):
     @cached_property
     def evidence(self) -> TensionEvidence:
         """What the strips say, at the density of the fabric."""
-        return tension_evidence(self.strips, self.density, self.stiffness)
+        return tension_evidence(self.strips, self.density, self.stiffness,
+                                knit=bool(self.known and self.known.cloth == "knit"))
 
     def record(self, prior: Prior) -> TensionRecord:
         """The stiffnesses, which the prior of bending says nothing of."""
