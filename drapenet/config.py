@@ -58,7 +58,6 @@ class TrainConfig:
     outlines: FromZero
     validation_fraction: Annotated[float, Field(gt=0, lt=1)]
     fabrics: FromOne | None
-    drapes: FromOne | None
     tester: str | None
     device: Literal["auto", "cpu", "cuda"]
     workers: Workers

@@ -186,20 +186,17 @@ def test_validation_has_other_fabrics_and_epochs_other_orders(words):
     assert not np.array_equal(first.distance, other.distance)
 
 
-def test_fabrics_and_drapes_to_train_on_are_the_first(tmp_path):
-    folder = write_dataset(tmp_path / "set", drapes=24, seed=8, starts=("sine",),
-                           starts_per_fabric=3)
+def test_the_first_fabrics_or_a_tester_are_learned(tmp_path):
+    testers = ("square300_cylinder100", "disc240_support180")
+    folder = write_dataset(tmp_path / "set", drapes=24, seed=8, starts=("sine",), testers=testers)
     few = [f"data={folder}", f"maps={tmp_path / 'maps'}", *SMALL, "optim.batch_size=4"]
-    found = {}
-    for name, more in {"all": [], "fabrics": ["fabrics=4"], "drapes": ["drapes=2"]}.items():
-        training, unseen, _ = open_captures(
-            compose_config("train", last(*few, *more), schema=TrainConfig))
-        found[name] = training.maps, set(unseen.maps.index)
-    every = found["all"][0]
-    assert set(found["fabrics"][0].fabric) == set(np.unique(every.fabric)[:4])
-    assert set(found["drapes"][0].index) == {i for i in every.index if i % 3 < 2}
-    assert set(found["drapes"][0].fabric) == set(every.fabric)
-    assert found["all"][1] == found["fabrics"][1] == found["drapes"][1]  # validation is the same
+    (every, unseen, _), (first, same, _), (squares, _, described) = [
+        open_captures(compose_config("train", last(*few, *more), schema=TrainConfig))
+        for more in ([], ["fabrics=4"], [f"tester={testers[0]}"])]
+    assert set(first.maps.fabric) == set(np.unique(every.maps.fabric)[:4])
+    assert set(unseen.maps.index) == set(same.maps.index)
+    assert set(squares.maps.index) == set(every.maps.index[~every.maps.disc])
+    assert described["generation"][0]["sampling"]["testers"] == [testers[0]]
 
 
 @pytest.mark.parametrize(("inputs", "seen"), [

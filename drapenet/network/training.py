@@ -100,7 +100,10 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
     split = split_by_fabric(maps.fabric, fractions=shares)
     usable = readable(maps, config.inputs)
     unseen = maps.chosen(usable & (split == "validation") & ~maps.moved)
-    training = maps.chosen(first_drapes(maps, usable & (split == "train"), config))
+    learned = usable & (split == "train")
+    if config.fabrics:
+        learned &= np.isin(maps.fabric, np.unique(maps.fabric[learned])[:config.fabrics])
+    training = maps.chosen(learned)
     captures = CaptureSet(training, scale=start.scale if start else None) if len(
         training) else None
     if not captures or len(captures) < config.optim.batch_size or not len(unseen):
@@ -136,18 +139,6 @@ def arguments(config: TrainConfig, captures: CaptureSet) -> dict:
         return asked
     found = read_header(config.start).model
     return asked | {"distance": found.distance, "spread": found.spread}
-
-
-def first_drapes(maps: Maps, rows: np.ndarray, config: TrainConfig) -> np.ndarray:
-    """Mask (N,) of those ``rows`` (N,), a mask, that show one of the first ``fabrics`` fabrics, and
-    of its drapes one of the first ``drapes``."""
-    fabric, index = np.unique(np.column_stack([maps.fabric, maps.index])[rows], axis=0).T
-    _, first, which = np.unique(fabric, return_index=True, return_inverse=True)
-    within = np.arange(len(fabric)) - first[which]  # number of a drape among those of its fabric
-    kept = np.ones(len(fabric), bool)
-    for number, most in ((which, config.fabrics), (within, config.drapes)):
-        kept &= most is None or number < most
-    return rows & np.isin(maps.index, index[kept])
 
 
 def learning_rate(optim: OptimConfig, progress: float) -> float:

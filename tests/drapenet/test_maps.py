@@ -152,10 +152,6 @@ def test_drapes_of_several_testers_have_depth_captures_and_outlines(tmp_path, mo
     assert np.isnan(views["hem"][shadow]).all()
     assert (maps.silhouettes[:, -1] <= maps.silhouettes[:, 0]).all()  # from the lowest camera
     assert len(CaptureSet(maps)) == 8 * 4
-    squares = make_maps(folder, finished_manifest(folder), tmp_path, setups=SETUPS, captures=2,
-                        seed=4, neighbours=True, outlines=2, tester=SQUARE_RIG)
-    np.testing.assert_array_equal(squares.distance, maps.distance[maps.depth[
-        (maps.depth >= 0) & ~maps.disc]])
 
 
 def test_moves_are_the_derivatives_of_a_stored_drape():
