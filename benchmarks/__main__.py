@@ -25,10 +25,17 @@ from experiments.report import markdown
 
 ESTIMATORS = ("benchmarks.estimators:release", "benchmarks.estimators:coefficient_alone")
 COLUMNS = {
-    "log_alpha_rms": "ln α, rms", "log_alpha_median": "median", "log_beta_median": "ln β, median",
-    "beta_of_wrong_sign": "β of wrong sign", "alpha_inside_68": "α inside 68 %",
-    "alpha_inside_90": "90 %", "beta_inside_68": "β inside 68 %", "beta_inside_90": "90 %",
-    "drape_coefficient_rms": "drape coefficient, rms", "drapes_failed": "drapes failed"}
+    "log_alpha_rms": "ln α, rms",
+    "log_alpha_median": "median",
+    "log_beta_median": "ln β, median",
+    "beta_of_wrong_sign": "β of wrong sign",
+    "alpha_inside_68": "α inside 68 %",
+    "alpha_inside_90": "90 %",
+    "beta_inside_68": "β inside 68 %",
+    "beta_inside_90": "90 %",
+    "drape_coefficient_rms": "drape coefficient, rms",
+    "drapes_failed": "drapes failed",
+}
 
 
 @dataclass

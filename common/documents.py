@@ -73,7 +73,13 @@ _PLAIN = {"float_type": "is not a number; write digits alone, without a unit",
           "less_than": "must be less than {lt:g}{unit}",
           "less_than_equal": "must be at most {le:g}{unit}"}
 """Sentences in place of Pydantic's, by the type of fault, with its limit."""
-_UNITS = {"_g_m2": " g/m²", "_mm": " mm", "_percent": " %", "_deg": "°", "_n_per_m": " N/m"}
+_UNITS = {
+    "_g_m2": " g/m²",
+    "_mm": " mm",
+    "_percent": " %",
+    "_deg": "°",
+    "_n_per_m": " N/m",
+}
 """By the ends of keys."""
 
 

@@ -48,8 +48,13 @@ _THIN, _THICK, _AROUND = 0.25e-3, 1e-3, 1e-3  # m, of lines, and of paper around
 QUIET = 5e-3  # m, white, around the markers
 _BLUR = 6.0  # pixels, 0.5 mm
 _OVERLAP = 2e-3  # m, by which parts on several pages overlap
-_PAGES = {"a2": (594, 420), "a3": (420, 297), "tabloid": (431.8, 279.4), "a4": (297, 210),
-          "letter": (279.4, 215.9)}
+_PAGES = {
+    "a2": (594, 420),
+    "a3": (420, 297),
+    "tabloid": (431.8, 279.4),
+    "a4": (297, 210),
+    "letter": (279.4, 215.9),
+}
 """Papers, mm, wide and high."""
 
 

@@ -40,8 +40,11 @@ from sim.material import LINEAR, REFERENCE_DENSITY
 from sim.rig import Rig
 
 NEAR = 0.1  # the same of pictures near the axis
-TARGETS = {CODE: {"reading_mm": (0.5, 1.0), "alone": (0.025, 0.08), "together": (0.025, 0.08),
-                  "silent": 0}, "plain": {"silent": 0.01, "warned_though_right": 0.15}}
+TARGETS = {
+    CODE: {"reading_mm": (0.5, 1.0), "alone": (0.025, 0.08), "together": (0.025, 0.08),
+           "silent": 0},
+    "plain": {"silent": 0.01, "warned_though_right": 0.15},
+}
 WRONG, UNLIKELY = 0.15, 2.0  # of alpha, and in deviations
 KINDS = ("sound", *HARD)
 TEXTURES = Path(__file__).resolve().parents[3] / "shared" / "photographs"

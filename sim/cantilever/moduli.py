@@ -193,27 +193,6 @@ def distance_across(curve: DeflectionCurve, model: DeflectionCurve) -> np.ndarra
     return np.take_along_axis(np.copysign(distance, cross), nearest, axis=1)[:, 0]
 
 
-def estimate_moduli(
-    strips: Strips, *, density: Density, slope: Radians = 0.0
-) -> dict[str, StripModuli]:
-    """Moduli of each direction from its strips alone."""
-    moduli = {}
-    for direction, curves in strips.items():
-        try:
-            moduli[direction] = match(curves, weight=density * GRAVITY, slope=slope)
-        except InputError as error:
-            raise InputError(f"{direction}: {error}") from None
-    return moduli
-
-
-def fabric_of(moduli: Mapping[str, StripModuli], density: Density) -> Fabric:
-    """The fabric with the moduli of the three directions."""
-    missing = [direction for direction in DIRECTIONS if direction not in moduli]
-    if missing:
-        raise InputError(f"a fabric needs strips of all three directions; {missing[0]} is missing")
-    return Fabric(*_moduli(_unknowns(moduli)), density=density)
-
-
 def correct(
     strips: Strips, moduli: Mapping[str, StripModuli], *, density: Density,
     rounds: int = MAX_ROUNDS, width: Metres = 0.03, slope: Radians = 0.0
@@ -224,15 +203,17 @@ def correct(
     than a cylinder (docs/validation.md). Each round simulates the three strips and estimates moduli
     from them in the same way; the residual moves the moduli by Broyden's method.
     """
-    fabric = fabric_of(moduli, density)
+    target = at = _unknowns(moduli)
+    fabric = Fabric(*_moduli(target), density=density)
     lengths = {direction: [fit_bezier(curve, slope=slope).length for curve in strips[direction]]
                for direction in DIRECTIONS}
-    target = at = _unknowns(moduli)
     response = np.eye(len(target))
     best, least, last = fabric, np.inf, None
     for _ in range(rounds):
         simulated = simulate_strips(fabric, lengths, width=width, slope=slope)
-        residual = target - _unknowns(estimate_moduli(simulated, density=density, slope=slope))
+        residual = target - _unknowns({
+            direction: match(curves, weight=density * GRAVITY, slope=slope)
+            for direction, curves in simulated.items()})
         if np.linalg.norm(residual) < least:
             best, least = fabric, float(np.linalg.norm(residual))
         if last is not None:

@@ -27,8 +27,6 @@ from sim.cantilever.elastica import curvature_of_torque, softening_law, strip_sh
 from sim.cantilever.moduli import (
     Bezier,
     correct,
-    estimate_moduli,
-    fabric_of,
     fit_bezier,
     fit_degree,
     match,
@@ -267,12 +265,11 @@ def test_the_table_is_accurate_with_noise():
 
 def test_curves_that_no_strip_has_are_refused():
     with pytest.raises(InputError, match="hanging strip"):
-        estimate_moduli({"warp": curves_of(*LAWS[0])[:1]}, density=0.3, slope=np.radians(89))
+        match(curves_of(*LAWS[0])[:1], weight=WEIGHT, slope=np.radians(89))
 
 
 def test_density_scales_the_moduli():
-    curves = {"warp": curves_of(*LAWS[0])}
-    light, heavy = (estimate_moduli(curves, density=d)["warp"] for d in (0.15, 0.3))
+    light, heavy = (match(curves_of(*LAWS[0]), weight=w) for w in (WEIGHT / 2, WEIGHT))
     assert heavy.alpha == pytest.approx(2 * light.alpha, rel=1e-6)
     assert heavy.beta == pytest.approx(2 * light.beta, rel=1e-5)
 
@@ -288,10 +285,10 @@ LENGTHS = {direction: [x * gravity_length(alpha, 0.3) for x in (1.5, 2.5)]
 def test_three_free_strips_give_six_moduli():
     """Simulated on one triangulation, corrected on another."""
     strips = simulate_strips(FABRIC, LENGTHS, cells=24, seed=5)
-    found = estimate_moduli(strips, density=0.3)
-    raw = fabric_of(found, 0.3)
+    found = {name: match(curves, weight=WEIGHT) for name, curves in strips.items()}
     corrected = correct(strips, found, density=0.3)
-    assert raw.alpha[1] < 0.98 * FABRIC.alpha[1]  # a free bias strip hangs lower than a cylinder
+    # A free bias strip hangs lower than a cylinder.
+    assert found["bias"].alpha < 0.98 * FABRIC.alpha[1]
     assert np.abs(corrected.alpha / FABRIC.alpha - 1).max() < 0.02
     assert np.abs(corrected.beta / FABRIC.beta - 1).max() < 0.10
 
@@ -299,6 +296,6 @@ def test_three_free_strips_give_six_moduli():
 def test_guided_simulated_strips_are_read():
     strips = simulate_strips(FABRIC, {"weft": LENGTHS["weft"]}, cells=24, width=None, across=3,
                              laws=guided(Laws(), 3))
-    found = estimate_moduli(strips, density=0.3)["weft"]
+    found = match(strips["weft"], weight=WEIGHT)
     assert found.alpha == pytest.approx(FABRIC.alpha[2], rel=0.02)
     assert found.beta == pytest.approx(FABRIC.beta[2], rel=0.1)
