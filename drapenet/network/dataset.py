@@ -146,8 +146,11 @@ def make_maps(
     # By content: shards grow when a dataset is extended, and are made again.
     cases = {sha256[:16]: {"path": Path(root) / name, "sha256": sha256, "options": options}
              for name, sha256 in manifest["shards"].items()}
-    run_cases(_shard_case, cases, folder=folder, workers=workers, unit="shard", version=VERSION)
-    return Maps.read(folder / f"{name}.npz" for name in cases)
+    made = run_cases(_shard_case, cases, folder=folder, workers=workers, unit="shard",
+                     version=VERSION)
+    if not any(case["rows"] for case in made.values()):
+        raise InputError(f"{root} has no drapes" + (f" on {tester.name}" if tester else ""))
+    return Maps.read(folder / f"{name}.npz" for name, case in made.items() if case["rows"])
 
 
 def _shard_case(*, path: Path, sha256: str, options: dict[str, Any]) -> dict[str, Any]:
