@@ -98,7 +98,7 @@ def test_two_captures_of_a_fabric_are_found_by_the_command(tmp_path, capsys):
     (tmp_path / "damaged" / "estimate.json").write_text("{}")
     main([f"like={tmp_path}/views", f"out={tmp_path}/table.csv"])
     lines = capsys.readouterr().out.splitlines()
-    assert lines[2].startswith("70 %") and lines[2].endswith("/photograph")
+    assert lines[2].startswith("80 %") and lines[2].endswith("/photograph")
     assert "warning: left out: " in lines[-2] and "damaged" in lines[-2]
     with (tmp_path / "table.csv").open(encoding="utf-8-sig") as file:
         rows = {Path(row["place"]).name: row for row in csv.DictReader(file)}
