@@ -30,7 +30,6 @@ from drapenet.fabric.next_measurements import next_measurements
 from drapenet.fabric.sources import Source
 from drapenet.fabric.stages import (
     CaptureEstimate,
-    Progress,
     estimate_capture,
     require_sound,
 )
@@ -206,14 +205,13 @@ def clear(folder: Path) -> None:
 
 def make_part(
     measured: Measured, source: Source, header: Header, options: EstimateOptions, *,
-    folder: Path | None = None, key: str = "", progress: Progress | None = None,
-    on_stage: Stage = lambda name, result: None,
+    folder: Path | None = None, key: str = "", on_stage: Stage = lambda name, result: None,
 ) -> Part:
     """The estimate of a source by itself, as it was read, with its files in ``folder``, if any.
 
     Args:
         key: see :func:`part_key`.
-        progress, on_stage: see :func:`drapenet.fabric.stages.estimate_capture`.
+        on_stage: see :func:`drapenet.fabric.stages.estimate_capture`.
 
     InputError if it shows no drape, or, if ``options`` are strict, for a fault.
     """
@@ -222,8 +220,7 @@ def make_part(
         _draw(measured, folder, options)
     observed = measured.observed()
     if observed:
-        result = estimate_capture(measured, header, options, out=folder, progress=progress,
-                                  on_stage=on_stage)
+        result = estimate_capture(measured, header, options, out=folder, on_stage=on_stage)
         part = Part(source, result.estimate, result.document, observed.seen)
     else:
         part = _of_record(measured, source, header, options, folder)

@@ -44,8 +44,6 @@ from drapenet.views.outline import outline_of_curve
 if TYPE_CHECKING:
     from drapenet.report.drape import Resimulation
 
-Progress = Callable[[int, int], None]
-"""Called with the simulated and the expected number of drapes."""
 RAISE = "DRAPENET_RAISE_FAULTS"
 """Environment variable; if it is set, faults of the program end the estimate, as in tests."""
 
@@ -97,14 +95,13 @@ class CaptureEstimate:
 
 def estimate_capture(
     measured: Measured, header: Header, options: EstimateOptions, *, out: Path | None = None,
-    progress: Progress | None = None,
     on_stage: Callable[[str, CaptureEstimate], None] = lambda name, result: None,
 ) -> CaptureEstimate:
     """Estimate a capture, refine the estimate and report it as the ``options`` say.
 
     Args:
         out: folder of the files, if any; the network's estimate is written before any simulation.
-        on_stage: called when the stages "refining" and "simulating" begin.
+        on_stage: called when the stage "simulating" begins.
     """
     result = observe(measured, header, strict=options.strict)
     if out:
@@ -112,9 +109,8 @@ def estimate_capture(
         write_estimate(out, result.estimate, result.document)
         write_observation(out, result.observed.seen)
     if options.refine:
-        on_stage("refining", result)
         result = _attempt(refine, result, ("refinement_failed", "refinement_fault"), out,
-                          settings=options.refine, progress=progress)
+                          settings=options.refine)
     if options.drapes:
         on_stage("simulating", result)
         result = _attempt(simulate, result, ("drape_failed", "drape_fault"), out,
@@ -177,9 +173,7 @@ def require_sound(faults: Sequence[Finding], strict: bool, what: str) -> None:
                          "strict=false estimates it with a warning", max_length=MAX_LIST_LENGTH)
 
 
-def refine(
-    result: CaptureEstimate, *, settings: Mapping[str, Any], progress: Progress | None,
-) -> CaptureEstimate:
+def refine(result: CaptureEstimate, *, settings: Mapping[str, Any]) -> CaptureEstimate:
     """Refine the estimate by simulation, which keeps the network's if there is no improvement."""
     from drapenet.refine.refine import refine_capture
     from drapenet.surface.registration import ScannedCapture
@@ -191,7 +185,7 @@ def refine(
     scan = capture.shape if isinstance(capture, ScannedCapture) else None
     outcome = refine_capture(result.draws.cloth, views, result.header,
                              density=capture.density, warp=capture.warp_direction,
-                             face=capture.sign, scan=scan, settings=settings, progress=progress)
+                             face=capture.sign, scan=scan, settings=settings)
     if outcome is None:
         return result.with_warnings(Finding("refinement_without_drape"))
     result = replace(result.with_warnings(*outcome.warnings),

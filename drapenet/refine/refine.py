@@ -6,7 +6,7 @@ read the same pixels, so that their densities must not be multiplied, but their 
 large and differ (docs/validation.md).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -69,7 +69,6 @@ def refine_capture(
     samples: ClothProperties, captured: LocatedViews, header: Header, *, density: Density,
     warp: Radians, face: int = 1, scan: CapturedShape | None = None,
     settings: Mapping[str, Any] | None = None,
-    progress: Callable[[int, int], None] | None = None,
 ) -> Refinement | None:
     """Refine an estimate by simulation, with a progress bar; None if no cloth converges.
 
@@ -80,14 +79,13 @@ def refine_capture(
         face: 1 if the marked face is up, else -1.
         scan: whose rendered views are ``captured``; None for a capture.
         settings: content of a file of ``configs/refine``; None: the default.
-        progress: called with the simulated and the expected number of drapes.
     """
     settings = settings or read_option("refine", "simulation")
     axis = flat_turn(scan) if scan else 0.0
     sought: CapturedDrape = CapturedScan(scan) if scan else CapturedViews(
         captured, turn=warp, edge=1e-3 * settings["edge_mm"], coarse=1e-3 * settings["coarse_mm"])
     result = _search(samples, header, sought, warp=warp - axis if scan else None,
-                     count=int(settings["starts"]), progress=progress)
+                     count=int(settings["starts"]))
     if result is None:
         return None
     resimulation = _beside(result, captured, axis, scan is not None)
@@ -157,7 +155,7 @@ def _record(posterior: Normal) -> dict[str, list]:
 
 def _search(
     samples: ClothProperties, header: Header, sought: CapturedDrape, *, warp: Radians | None,
-    count: int, progress: Callable[[int, int], None] | None,
+    count: int,
 ) -> SearchResult | None:
     """The search from ``count`` fabrics; ``warp``: initial guess, None if it is not free."""
     fabrics = Normal.of(fabric_prior(header).theta)
@@ -174,14 +172,9 @@ def _search(
               for theta in (central(samples.theta, header.spread), *samples.theta[rows])]
     total = count + 2 + sum((level.evaluations + 1) * len(level.pulls)
                             for level in sought.rounds)
-    with tqdm(total=total, desc="refining", unit="sim", leave=False,
-              disable=progress is not None) as bar:
-        def show(simulations: int) -> None:
-            bar.update(simulations - bar.n)
-            if progress:
-                progress(simulations, total)
-
-        return search(sought, starts, free=free, prior=prior, progress=show)
+    with tqdm(total=total, desc="refining", unit="sim", leave=False) as bar:
+        return search(sought, starts, free=free, prior=prior,
+                      progress=lambda simulations: bar.update(simulations - bar.n))
 
 
 def _search_warnings(result: SearchResult) -> list[Finding]:

@@ -95,7 +95,7 @@ def form_fields() -> dict[str, str]:
              for key, kind in fields_of(schema).items() if kind != "object"}
     found |= dict.fromkeys(map(error_field, QUANTITIES.values()), "number")
     return {key: "number" if kind in ("number", "integer") else "string"
-            for key, kind in (found | {"refine": "string", "fabric": "string"}).items()}
+            for key, kind in (found | {"fabric": "string"}).items()}
 
 
 def typed_kinds() -> list[tuple[type[Measured], dict[str, str], int]]:

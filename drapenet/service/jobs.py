@@ -102,7 +102,7 @@ class Jobs:
         folder = self.settings.folder / identity
         fabric = upload.fabric or new_identity()
         about = upload.specimen
-        task = {"refine": upload.refine, "scan": upload.scan, "directions": upload.directions,
+        task = {"scan": upload.scan, "directions": upload.directions,
                 "density_g_m2": upload.density_g_m2,
                 "specimen": about and about.model_dump(exclude_unset=True)}
         try:

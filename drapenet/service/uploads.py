@@ -69,7 +69,6 @@ class Upload:
     scan: str = ""
     name: str = ""
     about: About = field(default_factory=About)
-    refine: bool = False
     specimen: Description | None = None
     fabric: str = ""
     kind: str = "capture"
@@ -83,11 +82,9 @@ def checked_upload(
 ) -> Upload:
     """Check a form's files, names and bytes, and texts."""
     fields = {key: text.strip() for key, text in texts.items() if text.strip()}
-    refine, fabric = fields.pop("refine", "no"), fields.pop("fabric", "")
+    fabric = fields.pop("fabric", "")
     if not (files or states_values(fields) or kinds_stated(fields)):
         raise RequestError(422, _NO_FILES)
-    if refine not in ("no", "yes"):
-        raise RequestError(422, f"refine={shown(refine)} must be yes or no")
     files = [(decoded(name), data) for name, data in files]
     received = unpacked(files, settings) if files else {}
     try:
@@ -95,12 +92,9 @@ def checked_upload(
         content = _content(received, fields, settings)
     except InputError as error:
         raise RequestError(422, str(error)) from None
-    if refine == "yes" and content.kind != "capture":
-        raise RequestError(422, f"refine=yes is for captures, but these are {content.kind}; leave "
-                           "it out")
     title = Path(files[0][0].replace("\\", "/")).stem if len(files) == 1 else content.kind
     name = about.name or content.labels.fabric or plain_name(title)[:40]
-    return replace(content, name=name, about=about, refine=refine == "yes", fabric=fabric)
+    return replace(content, name=name, about=about, fabric=fabric)
 
 
 def checked_photograph(

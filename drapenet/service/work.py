@@ -1,7 +1,6 @@
 """Tasks of worker processes: the estimate of a capture, strips or values, or of all of a fabric,
 and the garment of an estimate."""
 
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import count
@@ -10,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from common.configs import read_option
 from common.documents import read_json
 from common.errors import InputError
 from common.files import replace_file
@@ -27,7 +25,6 @@ if TYPE_CHECKING:
 
 PREVIEW, UPLOADED = "preview.png", "uploaded"
 CURVATURES = np.linspace(0.0, 400.0, 33)  # 1/m, of the curves of a comparison
-_PROGRESS_INTERVAL = 0.25  # s between two reports of progress
 
 
 def warm_up(checkpoint: str) -> None:
@@ -117,16 +114,9 @@ def _estimate(
     from drapenet.fabric.part import Refusal, keep_refusal, make_part, part_key
     from drapenet.result.files import ESTIMATE
 
-    source, latest = _source(folder, row), 0.0
-    refine = row["task"]["refine"] and dict(read_option("refine", "simulation"))
-    options = EstimateOptions(refine=refine or None, address=address, picture=PREVIEW)
+    source = _source(folder, row)
+    options = EstimateOptions(address=address, picture=PREVIEW)
     key = part_key(source, header, options)
-
-    def progress(made: int, expected: int) -> None:
-        nonlocal latest
-        if time.monotonic() - latest > _PROGRESS_INTERVAL:
-            record(progress={"made": made, "expected": max(expected, made)})
-            latest = time.monotonic()
 
     record(stage="reading")
     try:
@@ -134,7 +124,7 @@ def _estimate(
         measured = measured.changed(labels=measured.labels.named(row["fabric_name"]))
         record(stage="estimating", warnings=records(measured.warnings))
         return make_part(
-            measured, source, header, options, folder=folder, key=key, progress=progress,
+            measured, source, header, options, folder=folder, key=key,
             on_stage=lambda stage, found: record(
                 stage=stage, warnings=records(found.document.warnings),
                 estimate=read_json(folder / ESTIMATE)))

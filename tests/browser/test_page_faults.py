@@ -2,7 +2,7 @@
 
 import signal
 
-from browsing import FILES, IN_BROWSER, keep, unfold
+from browsing import FILES, IN_BROWSER, keep
 
 pytestmark = IN_BROWSER
 
@@ -63,10 +63,8 @@ def test_service_that_was_killed_goes_on_with_its_estimates(page, service):
     page.click("[data-example=twill]")
     page.wait_for_selector("#downloads:not([hidden])")
     kept = page.url
-    unfold(page)
-    page.check("#refine")
     page.click("[data-example=twill]")
-    page.locator("#status", has_text="refines").wait_for()
+    page.locator("#status", has_text="Draping").wait_for()
     service.stop(signal.SIGKILL)
     page.wait_for_selector("#lost:not([hidden])")
     service.start()

@@ -94,10 +94,9 @@ def test_files_and_a_zip_of_their_folder_make_the_same_capture(settings, tmp_pat
 def test_fields_stand_for_the_description_and_pictures_are_numbered(settings, tmp_path, turns):
     intrinsics = yaml.safe_load(YAML[1])["intrinsics"]
     renamed = [(f"shot {k + 9}.png", data) for k, (_, data) in enumerate(VIEWS)]  # 9, 10, 11, 12
-    fields = {"density_g_m2": "123,5", "refine": "yes", "tester": "square300_cylinder100",
+    fields = {"density_g_m2": "123,5", "tester": "square300_cylinder100",
               "turns_deg": turns, **{key: str(value) for key, value in intrinsics.items()}}
     upload = checked_upload(renamed[::-1], fields, settings)
-    assert upload.refine
     assert yaml.safe_load(upload.files["capture.yaml"])["turns_deg"] == [0, 90, 180, 270]
     assert [upload.files[f"view_{k}.png"] for k in range(4)] == [data for _, data in VIEWS]
     assert capture_of(upload, tmp_path / "capture").density == pytest.approx(0.1235)

@@ -2,7 +2,7 @@
 
 import { ask, at, keepOwn } from './common.js';
 import { clear, complain, fault, fieldOf } from './faults.js';
-import { chosen, form, isDrape, isWeighed, suffix, usesSetup, values } from './fields.js';
+import { chosen, form, isWeighed, suffix, usesSetup, values } from './fields.js';
 import { described, lookAgain, put } from './files.js';
 import { look } from './outline.js';
 import { recall } from './presets.js';
@@ -47,7 +47,6 @@ async function content(isExample) {
   addBench(data, !chosen().length);
   if (isExample) data.delete('density_g_m2');
   else if (isWeighed() && !data.has('density_g_m2') && at('kept').hidden && at('density').value.trim()) data.append('weight_g', at('density').value.trim());
-  data.append('refine', at('refine').checked && isDrape() ? 'yes' : 'no');
   return data;
 }
 

@@ -11,7 +11,7 @@ const LONGEST_WAIT = 5000; // ms between two tries where the service does not an
 const ENDED = ['done', 'failed', 'interrupted'];
 const STAGES = {
   reading: 'Reading and checking the files', estimating: 'Estimating', joining: 'Joining all that is known of the fabric',
-  refining: 'The simulator refines the estimate', simulating: 'Draping the estimate for the report',
+  simulating: 'Draping the estimate for the report',
 };
 const FILES = {
   'report.html': 'Report (HTML)', 'report.pdf': 'Report (PDF)', 'report.png': 'Report (PNG)', 'strips.png': 'Strips (PNG)',
