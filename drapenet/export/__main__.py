@@ -43,12 +43,13 @@ def main(config: ExportConfig) -> None:
             raise InputError(f"out={out}: the file for to={names[0]} ends in {usual}; give such a "
                              "name, or a folder")
         require_file(out)
-        written = export(material, names[0], out)
+        written, refusals = export(material, names[0], out), []
     else:
         require_folder(out)
-        written = export_all(material, names, out)
-    for file in written:
-        print(file)
+        written, refusals = export_all(material, names, out)
+    if not written:
+        raise InputError(refusals[0])
+    print("\n".join([*map(str, written), *(f"left out: {refusal}" for refusal in refusals)]))
     tools = {PROGRAMS.get(name) for name in names_in(config.to)}
     for card in cards(material):
         if card["tool"] in tools:

@@ -113,18 +113,40 @@ def export(material: Material, name: str, out: Path) -> list[Path]:
     return list(files)
 
 
+def files_of(material: Material, names: Iterable[str]) -> tuple[dict[str, bytes], list[str]]:
+    """Files of the targets ``names`` under their usual names, and the sentences of those that
+    refuse."""
+    files, refusals = {}, []
+    for target in (TARGETS[name] for name in names):
+        try:
+            files |= target.write(material, target.file)
+        except InputError as error:
+            refusals.append(f"{target.file} ({target.tool}): {error}")
+    return files, refusals
+
+
 def export_beside(file: Path, names: Sequence[str]) -> str:
     """Write the targets ``names`` beside an ``estimate.json``, and those again that are there of an
-    estimate before; lines with the files' names, and what tools' defaults stand for in them."""
+    estimate before; lines with the files' names, what refuses, and what tools' defaults stand for.
+    """
     material = read_material(file)
     before = [name for name, target in TARGETS.items() if (file.parent / target.file).exists()]
-    written = export_all(material, dict.fromkeys([*names, *before]), file.parent)
+    written, refusals = export_all(material, dict.fromkeys([*names, *before]), file.parent)
     unknown = ", ".join(material.not_known)
-    return f"exports:  {file.parent}: {', '.join(path.name for path in written)}" + (
-        f"\nnot known, so that tools keep their defaults: {unknown}" if unknown else "")
+    lines = [f"exports:  {file.parent}: {', '.join(path.name for path in written) or 'none'}",
+             *(f"left out: {refusal}" for refusal in refusals),
+             *["for finer meshes: python -m drapenet.export edge_mm=, estimate="
+               f"{file.parent}"] * bool(refusals),
+             *[f"not known, so that tools keep their defaults: {unknown}"] * bool(unknown)]
+    return "\n".join(lines)
 
 
-def export_all(material: Material, names: Iterable[str], folder: Path) -> list[Path]:
-    """Write the targets ``names`` to a folder, under their usual file names."""
-    return [path for name in names for path in export(material, name, folder / TARGETS[name].file)]
-
+def export_all(
+    material: Material, names: Iterable[str], folder: Path
+) -> tuple[list[Path], list[str]]:
+    """Write the targets ``names`` that can be written to a folder, as :func:`files_of`; their
+    paths, and the sentences of the others."""
+    files, refusals = files_of(material, names)
+    for name, data in files.items():
+        replace_file(folder / name, data)
+    return [folder / name for name in files], refusals

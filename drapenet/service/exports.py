@@ -49,17 +49,12 @@ def all_files(folder: Path, names: Iterable[str], settings: Mapping[str, object]
 
     InputError if the ``settings`` of :func:`export_file` are no settings of any tool.
     """
-    from drapenet.export.formats import TARGETS
+    from drapenet.export.formats import TARGETS, files_of
     from drapenet.export.material import read_material
 
     files = {name: (folder / name).read_bytes() for name in names if (folder / name).is_file()}
-    material, refusals = read_material(folder, **settings), []
-    for target in TARGETS.values():
-        try:
-            files |= target.write(material, target.file)
-        except InputError as error:
-            refusals.append(f"{target.file} ({target.tool}): {error}\n")
-    return zipped(files | ({REFUSED: "".join(refusals).encode()} if refusals else {}))
+    made, refusals = files_of(read_material(folder, **settings), TARGETS)
+    return zipped(files | made | ({REFUSED: "\n".join(refusals).encode()} if refusals else {}))
 
 
 def results_table(results: Path, words: Sequence[str]) -> tuple[str, bytes]:

@@ -173,7 +173,7 @@ def zip_of(folder: Path, **changes: object) -> dict[str, bytes]:
 
 def test_the_zip_has_the_report_and_the_files_of_all_tools(folder, tmp_path):
     found = zip_of(folder)
-    expected = export_all(read_material(folder, **SETTINGS), list(TARGETS), tmp_path / "all")
+    expected, _ = export_all(read_material(folder, **SETTINGS), list(TARGETS), tmp_path / "all")
     assert found == {file.name: file.read_bytes() for file in [
         folder / "estimate.json", folder / "report.html", *expected]}
 

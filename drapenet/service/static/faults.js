@@ -43,15 +43,19 @@ export function complain(said, name, focus = true) {
   if (focus) field.focus();
 }
 
+// Take back what is said of a field.
+export function absolve(field) {
+  at(`error-${field.dataset.entry ?? field.name}`)?.remove();
+  field.removeAttribute('aria-invalid');
+  const rest = (field.getAttribute('aria-describedby') ?? '').split(' ').filter((id) => id && !id.startsWith('error-'));
+  if (rest.length) field.setAttribute('aria-describedby', rest.join(' '));
+  else field.removeAttribute('aria-describedby');
+}
+
 export function clear() {
   at('error').textContent = '';
   for (const error of form.querySelectorAll('[id^="error-"]')) error.remove();
-  for (const field of form.querySelectorAll('[aria-invalid]')) {
-    field.removeAttribute('aria-invalid');
-    const rest = (field.getAttribute('aria-describedby') ?? '').split(' ').filter((id) => id && !id.startsWith('error-'));
-    if (rest.length) field.setAttribute('aria-describedby', rest.join(' '));
-    else field.removeAttribute('aria-describedby');
-  }
+  for (const field of form.querySelectorAll('[aria-invalid]')) absolve(field);
 }
 
 // Sentence and field of the first fault, or null: of the files, of the tester, and of all.

@@ -1,7 +1,7 @@
 // The form: what is sent, and for which fabric.
 
 import { ask, at, keepOwn } from './common.js';
-import { clear, complain, fault, fieldOf } from './faults.js';
+import { absolve, clear, complain, fault, fieldOf } from './faults.js';
 import { chosen, form, isWeighed, suffix, usesSetup, values } from './fields.js';
 import { described, lookAgain, put } from './files.js';
 import { look } from './outline.js';
@@ -120,7 +120,10 @@ function nextSpecimen() {
 at('next-specimen').addEventListener('click', nextSpecimen);
 at('into-none').addEventListener('click', () => addTo(null));
 at('density').addEventListener('input', () => { at('kept').hidden = true; });
-form.addEventListener('input', ({ target }) => { delete target.dataset.estimated; });
+form.addEventListener('input', ({ target }) => {
+  delete target.dataset.estimated;
+  if (target.ariaInvalid) absolve(target);
+});
 form.addEventListener('submit', (event) => {
   event.preventDefault();
   send();

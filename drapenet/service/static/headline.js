@@ -45,7 +45,7 @@ function part(kind, name, left, text = '', title = '') {
   return made;
 }
 
-export function showHeadline({ moduli, laboratory, capture, correlations, next_measurements: next }) {
+export function showHeadline({ moduli, laboratory, capture, correlations, assumed, next_measurements: next }) {
   const alphas = Object.entries(moduli).map(([direction, { alpha_uN_m: alpha }]) => [direction, texts(alpha)]);
   at('alphas').replaceChildren(...alphas.map(([direction, { median, near: interval }]) => {
     const one = element('div');
@@ -61,8 +61,8 @@ export function showHeadline({ moduli, laboratory, capture, correlations, next_m
     ...MARKS.map(([name, length, source]) => part('abbr', '', placeAt(length), name, source)));
   at('scale').setAttribute('aria-label', `stiffness at this weight, from ${MARKS[0][0]} to ${MARKS.at(-1)[0]}: ${near(place)}`);
   const over = Object.entries(laboratory).filter(([direction]) => direction !== 'bias')
-    .map(([direction, { bending_length_mm: { median } }]) => `${(median / 5).toFixed(1)} cm along the ${direction}`);
-  at('meaning').textContent = `At ${Number(density.toPrecision(3))} g/m² it hangs ${near(place)}. A strip pushed over the edge of a table sinks to 41.5° once it sticks out by ${over.join(', ')}.`;
+    .map(([direction, { bending_length_mm: { median } }]) => `${(median / 5).toFixed(1)} cm along the ${direction}${/^w/.test(direction) ? '' : ' direction'}`);
+  at('meaning').textContent = `At ${Number(density.toPrecision(3))} g/m² it hangs ${near(place)}. A strip pushed over the edge of a table sinks to 41.5° once it sticks out by ${over.join(', ')}.${(assumed ?? []).filter(({ code }) => code === 'bending_usual').map(({ text }) => ` ${text[0].toUpperCase()}${text.slice(1)}.`).join('')}`;
   at('next').textContent = next?.length ? `To know it better: ${next[0].measurement} (${next[0].minutes} min).` : '';
   at('numbers').hidden = false;
 }

@@ -3,6 +3,7 @@
 
 import { ask, at, element } from './common.js';
 import { isOverMat } from './fields.js';
+import { testerName } from './support.js';
 import { plainly } from './words.js';
 
 const DELAY = 400; // ms after the last change
@@ -103,7 +104,7 @@ function show(found) {
   at('seen-move').hidden = !seen?.movable;
   at('seen-refusal').textContent = plainly(found?.refusal ?? '');
   at('seen').dispatchEvent(new CustomEvent('read', { detail: found }));
-  at('seen-status').textContent = seen?.outline ? `Outline found: ${seen.nodes} node${seen.nodes === 1 ? '' : 's'}, drape coefficient ${seen.drape_coefficient_percent.toFixed(1)} % as the camera sees it.${seen.warnings.length ? '' : ' Nothing in it is doubtful.'}${unsureHeight()}` : '';
+  at('seen-status').textContent = seen?.outline ? `Outline found: ${seen.nodes} node${seen.nodes === 1 ? '' : 's'}, drape coefficient ${seen.drape_coefficient_percent.toFixed(1)} % as the camera sees it.${seen.warnings.length ? '' : ' Nothing in it is doubtful.'}${unsure()}` : '';
   at('seen-warnings').replaceChildren(...(found?.warnings ?? []).map(({ text }) => {
     const [fact, ...remedy] = plainly(text).split(/(?<=: )/);
     const item = element('li', '');
@@ -112,10 +113,12 @@ function show(found) {
   }));
 }
 
-// What one picture over the mat seldom shows, and several from different places do.
-function unsureHeight() {
+// What one picture over the mat seldom shows, and several from different places do; and what none shows.
+function unsure() {
   if (seen.cameras?.length !== 1 || !isOverMat()) return '';
-  return ` Is the top ${form.elements.plate_height_mm.value.trim()} mm over the mat? One picture seldom shows a wrong height, another from one side does.`;
+  const top = /(?:support|cylinder)([\d.]+)/.exec(testerName())?.[1];
+  return [top && `Is the yellow circle, ${top} mm, on the edge of the top?`, form.elements.arrow.value || form.elements.warp_direction_deg.value.trim() ? '' : 'Does the warp lie along the mat’s arrow?',
+    `Is the top ${form.elements.plate_height_mm.value.trim()} mm over the mat? One picture seldom shows a wrong height, another from one side does.`].filter(Boolean).map((question) => ` ${question}`).join('');
 }
 
 // An arrow from the foot of the latest camera, or the border of the picture, to that of the next.
