@@ -11,7 +11,8 @@ import sim
 
 MODULES = ("drapenet", "drapenet.result.estimate", "drapenet.fabric", "drapenet.evidence", "sim",
            "sim.energies", "sim.equilibrium", "sim.material", "sim.measures", "sim.rig",
-           "sim.sensitivity", "sim.cantilever", "data.captures", "data.readings",
+           "sim.sensitivity", "sim.sensitivity.adjoint", "sim.cantilever", "sim.cantilever.strip",
+           "data.captures", "data.readings",
            "!data.readings.known", "data.fabrics", "drapenet.measured",
            "!data.fabrics.prior.__main__")
 

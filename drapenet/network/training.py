@@ -292,7 +292,11 @@ def calibrate(checkpoint: Path, captures: CaptureSet, config: TrainConfig) -> No
     it has not learned; none to one that has them, when a finished training is run again, and none
     by fewer than :data:`LEAST_CALIBRATING` fabrics, of which the scales would be noise."""
     header = read_header(checkpoint)
-    if header.calibrated or len(captures) < LEAST_CALIBRATING:
+    if header.calibrated:
+        return
+    if len(captures) < LEAST_CALIBRATING:
+        print(f"warning: {len(captures)} fabrics to validate with, fewer than {LEAST_CALIBRATING}: "
+              "the network's intervals are not calibrated, and may be far too narrow")
         return
     model = load_model(header)
     rng = np.random.default_rng(config.seed)

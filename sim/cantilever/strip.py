@@ -24,12 +24,16 @@ then 1 %."""
 
 @dataclass(frozen=True)
 class HungStrip:
-    """Deflection curve, averaged across a strip, and twist of its free end. Valid only if the
-    result's status is CONVERGED."""
+    """Deflection curve, averaged across a strip, and twist of its free end."""
 
     curve: DeflectionCurve
     twist: Radians
     result: NewtonResult
+
+    @property
+    def converged(self) -> bool:
+        """Whether it hangs at rest; otherwise its curve is not valid."""
+        return self.result.status is Status.CONVERGED
 
 
 def hang(
@@ -77,7 +81,7 @@ def simulate_strips(
         hung = hang(fabric, angle=ANGLES[direction], length=length, edge=edge, across=across,
                     width=across * edge if width is None else width, diagonals="random",
                     **options)
-        if hung.result.status is not Status.CONVERGED:
+        if not hung.converged:
             raise InputError(f"the simulated {direction} strip of {1e3 * length:.0f} mm does not "
                              f"come to rest: {hung.result.message}")
         strips[direction].append(hung.curve)
