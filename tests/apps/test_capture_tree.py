@@ -28,11 +28,13 @@ def test_all_captures_of_a_tree_are_checked_and_none_stops_it(tmp_path, capsys):
     for name, radius in (("a/face", 115.0), ("b/face", 500.0), ("c/back", 115.0)):
         write(tmp_path / "in" / name, radius)
     (tmp_path / "in/c/back/capture.yaml").write_text("tester: [\n")
-    with pytest.raises(InputError, match="2 of 3 captures have faults"):
+    (tmp_path / "in/d").mkdir()
+    (tmp_path / "in/d/values.yaml").write_text("{density_g_m2: 210, known: {membrane_n_per_m: 9}}")
+    with pytest.raises(InputError, match="2 of 4 captures have faults"):
         capture.main([f"frames={tmp_path / 'in'}", f"out={tmp_path / 'out'}"])
     rows = list(csv.DictReader((tmp_path / "out/checks.csv").open()))
     assert [(row["capture"], row["state"]) for row in rows] == [
-        ("a/face", "sound"), ("b/face", "refused"), ("c/back", "refused")]
+        ("a/face", "sound"), ("b/face", "refused"), ("c/back", "refused"), ("d/d", "sound")]
     assert "drape coefficient" in rows[0]["measured"] and "scale" in rows[1]["faults"]
     assert "a/face: sound" in capsys.readouterr().out
     assert (tmp_path / "out/a/face/outline.csv").exists()
