@@ -9,6 +9,7 @@ import numpy as np
 from common.findings import Finding
 from common.types import Density
 from data.fabrics.nuisances import KINDS
+from data.readings.cantilever import QUANTITIES as CANTILEVER
 from data.readings.known import Known
 from drapenet.evidence.combine import posterior
 from drapenet.evidence.source import Source, of_values, value_key
@@ -18,7 +19,7 @@ from drapenet.network.checkpoint import Header
 from drapenet.network.inputs import Stated
 from drapenet.network.predict import Draws
 from drapenet.result.estimate import Estimate, make_estimate
-from sim.material import REFERENCE_DENSITY
+from sim.material import DIRECTIONS, REFERENCE_DENSITY
 
 _MEMBRANE = "membrane_n_per_m", 0
 
@@ -41,7 +42,19 @@ def combine(
         draws = replace(draws, cloth=cloth_of_state(found.states))
         contradictions = [*contradictions, *found.contradictions]
     estimate = make_estimate(draws, density=density, header=header)
-    return replace(estimate, contradictions=tuple(contradictions))
+    left = {one.source for one in contradictions}
+    return replace(estimate, contradictions=tuple(contradictions), warnings=(
+        *estimate.warnings, *_repeated([one for one in sources if one.key not in left])))
+
+
+def _repeated(sources: Sequence[Source]) -> list[Finding]:
+    """A finding for each direction in which one cantilever test is stated as several quantities."""
+    stated = {source.key: source.test for source in sources}
+    found = {name: [stated[key] for key in (value_key(each.name, k) for each in CANTILEVER)
+                    if key in stated]
+             for k, name in enumerate(DIRECTIONS)}
+    return [Finding("value_repeated", {"values": " and ".join(values), "direction": name})
+            for name, values in found.items() if values[1:]]
 
 
 def one_capture(reported: bool) -> str:

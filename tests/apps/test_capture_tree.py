@@ -29,7 +29,7 @@ def test_all_captures_of_a_tree_are_checked_and_none_stops_it(tmp_path, capsys):
         write(tmp_path / "in" / name, radius)
     (tmp_path / "in/c/back/capture.yaml").write_text("tester: [\n")
     (tmp_path / "in/d").mkdir()
-    (tmp_path / "in/d/values.yaml").write_text("{density_g_m2: 210, known: {membrane_n_per_m: 9}}")
+    (tmp_path / "in/d/values.yaml").write_text("{density_g_m2: 210, known: {membrane_n_per_m: 99}}")
     with pytest.raises(InputError, match="2 of 4 captures have faults"):
         capture.main([f"frames={tmp_path / 'in'}", f"out={tmp_path / 'out'}"])
     rows = list(csv.DictReader((tmp_path / "out/checks.csv").open()))

@@ -178,7 +178,7 @@ def test_a_fabric_with_warnings_is_marked_wherever_it_is_shown(out, printed):
     lines = printed.splitlines()
     assert any(line.startswith("photo") and line.endswith(" -") for line in lines)
     page = (out / "index.html").read_text("utf-8")
-    assert page.count('<tr class="doubted">') == 4
+    assert page.count('<tbody class="doubted">') == 4
 
 
 def test_names_are_text_in_the_pages(out):

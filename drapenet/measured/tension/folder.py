@@ -103,13 +103,14 @@ class TensionSet(Measured):
         return png(tension_figure(self.strips, self.photographs, self.evidence))
 
     def loads(self) -> dict[str, float]:
-        """For each direction the weight, g, that stretches its first strip by :data:`AIM`."""
+        """For each direction the weight, g, that stretches its first strip by :data:`AIM`; none of
+        values of testers."""
         found = self.evidence
         warp, weft, shear = np.exp(found.posterior.mean)
         return {DIRECTIONS[strip.direction]: float(1e3 * strip.width / STANDARD_GRAVITY * (
             found.friction[strip.direction]
             + strip.needed((warp, weft, shear), found.poisson, AIM)))
-            for strip in reversed(self.strips)}
+            for strip in reversed(self.strips) if not strip.typed}
 
 
 def read_tension(folder: str | Path) -> TensionSet:
@@ -136,7 +137,7 @@ def described_strips(
     strips = [_measured(strip, description, read.get(k))
               for k, strip in enumerate(description.tension)]
     strips += [MeasuredExtension(k, by.load, by.error, by.width, by.length, 0.0,
-                                 by.length * percent / 100, MACHINE_ERROR, by.name)
+                                 by.length * percent / 100, MACHINE_ERROR, by.name, typed=True)
                for by, k, percent in description.by_machines]
     found = kind(**description.common(folder), strips=tuple(strips),
                  stiffness=description.stiffness, photographs=read, **further)

@@ -63,6 +63,7 @@ class MeasuredExtension:
     extension: Metres  # of the gauge
     error: Metres  # of the extension
     specimen: str = ""
+    typed: bool = False  # the value of a tester
 
     def reach(self, stiffness: tuple[np.ndarray, np.ndarray, np.ndarray], poisson: float
               ) -> np.ndarray:
