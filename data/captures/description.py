@@ -62,8 +62,7 @@ def _period(dates: Sequence[str]) -> str:
 
 
 def _within(low: float, high: float, other: str = "", slip: str = "") -> BeforeValidator:
-    """Takes a number from ``low`` to ``high`` or an ``other`` text, or several of them, as text;
-    ``slip``: what another number may be."""
+    """Takes numbers from ``low`` to ``high`` or an ``other`` text; ``slip``: what others may be."""
     def read(value: object) -> str:
         with suppress(ValueError):
             if all(one == other or low <= float(one) <= high for one in str(value).split(_OR)):
@@ -85,8 +84,7 @@ class Labels(Schema):
     remarks: _Label | None = Field(None, title="anything else", description=_LABEL)
     temperature_c: Annotated[str, _within(-20, 60)] | None = Field(
         None, title="of the air, -20 to 60 °C")
-    humidity_percent: Annotated[
-        str, _within(1, 100, slip="; a share? 0.65 is 65 %")] | None = Field(
+    humidity_percent: Annotated[str, _within(1, 100, slip="; a share?")] | None = Field(
         None, title="relative, of the air, 1 to 100")
     conditioning_h: Annotated[str, _within(0, 1000, _STANDARD)] | None = Field(
         None, title=f"hours in this air before the test, or {_STANDARD}, by that standard")

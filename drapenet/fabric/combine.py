@@ -42,19 +42,14 @@ def combine(
         draws = replace(draws, cloth=cloth_of_state(found.states))
         contradictions = [*contradictions, *found.contradictions]
     estimate = make_estimate(draws, density=density, header=header)
-    left = {one.source for one in contradictions}
-    return replace(estimate, contradictions=tuple(contradictions), warnings=(
-        *estimate.warnings, *_repeated([one for one in sources if one.key not in left])))
-
-
-def _repeated(sources: Sequence[Source]) -> list[Finding]:
-    """A finding for each direction in which one cantilever test is stated as several quantities."""
-    stated = {source.key: source.test for source in sources}
-    found = {name: [stated[key] for key in (value_key(each.name, k) for each in CANTILEVER)
-                    if key in stated]
-             for k, name in enumerate(DIRECTIONS)}
-    return [Finding("value_repeated", {"values": " and ".join(values), "direction": name})
-            for name, values in found.items() if values[1:]]
+    counted = {one.key for one in sources} - {one.source for one in contradictions}
+    warnings = [*estimate.warnings]
+    for k, direction in enumerate(DIRECTIONS):
+        tests = [each.in_words for each in CANTILEVER if value_key(each.name, k) in counted]
+        if tests[1:]:  # one measurement: each follows from the other
+            warnings.append(Finding("value_repeated", {
+                "values": " and ".join(tests), "direction": direction}))
+    return replace(estimate, contradictions=tuple(contradictions), warnings=tuple(warnings))
 
 
 def one_capture(reported: bool) -> str:

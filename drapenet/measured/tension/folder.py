@@ -103,8 +103,7 @@ class TensionSet(Measured):
         return png(tension_figure(self.strips, self.photographs, self.evidence))
 
     def loads(self) -> dict[str, float]:
-        """For each direction the weight, g, that stretches its first strip by :data:`AIM`; none of
-        values of testers."""
+        """For each direction the weight, g, that stretches its first strip by :data:`AIM`."""
         found = self.evidence
         warp, weft, shear = np.exp(found.posterior.mean)
         return {DIRECTIONS[strip.direction]: float(1e3 * strip.width / STANDARD_GRAVITY * (
