@@ -16,9 +16,8 @@ def write(folder: Path, radius_mm: float) -> None:
     folder.mkdir(parents=True)
     angle = np.arange(180) * (2 * np.pi / 180)
     radius = radius_mm + 8 * np.cos(6 * angle)
-    lines = [f"{x:.3f},{y:.3f}" for x, y in zip(radius * np.cos(angle), radius * np.sin(angle),
-                                                strict=True)]
-    (folder / "outline.csv").write_text("\n".join(["x,y", *lines]))
+    np.savetxt(folder / "outline.csv", np.c_[radius * np.cos(angle), radius * np.sin(angle)],
+               "%.3f", ",", header="x,y", comments="")
     (folder / "capture.yaml").write_text(yaml.safe_dump({
         "density_g_m2": 200, "tester": "disc300_support180", "warp_direction_deg": 0,
         "outline": {"unit": "mm", "centred": True, "camera_height_mm": 1200}}))

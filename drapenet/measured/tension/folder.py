@@ -28,7 +28,6 @@ from drapenet.measured.tension.posterior import (
     MACHINE_ERROR,
     MeasuredExtension,
     TensionEvidence,
-    directions_of,
     tension_evidence,
 )
 from drapenet.measured.tension.record import TensionRecord
@@ -84,8 +83,8 @@ class TensionSet(Measured):
             "strips": len(self.strips), "measured": [DIRECTIONS[k] for k in found.measured],
             "shear_n_per_m": intervals(shear),
             "stretch_n_per_m": {"warp": intervals(warp), "weft": intervals(weft)},
-            "friction_n_per_m": {name: float(found.friction[DIRECTIONS.index(name)])
-                                 for name in directions_of(self.strips)},
+            "friction_n_per_m": {DIRECTIONS[strip.direction]: float(found.friction[strip.direction])
+                                 for strip in self.strips},
             "weight_for_10_percent_g": self.loads(),
             "readings": {key: intervals(values) for key, values in found.readings().items()},
             "along_yarns": self.needs_warp, "findings": [*self.warnings, *found.findings],

@@ -80,11 +80,6 @@ class MeasuredExtension:
                           compliance(self.direction, stiffness, poisson)))
 
 
-def directions_of(strips: Sequence[MeasuredExtension]) -> list[str]:
-    """Directions of strips."""
-    return list(dict.fromkeys(DIRECTIONS[strip.direction] for strip in strips))
-
-
 @dataclass(frozen=True)
 class TensionEvidence:
     """What strips say of the logarithms of the stiffnesses, N/m, along warp and weft and in shear,
