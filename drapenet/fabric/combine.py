@@ -43,13 +43,11 @@ def combine(
         contradictions = [*contradictions, *found.contradictions]
     estimate = make_estimate(draws, density=density, header=header)
     counted = {one.key for one in sources} - {one.source for one in contradictions}
-    warnings = [*estimate.warnings]
-    for k, direction in enumerate(DIRECTIONS):
-        tests = [each.in_words for each in CANTILEVER if value_key(each.name, k) in counted]
-        if tests[1:]:  # one measurement: each follows from the other
-            warnings.append(Finding("value_repeated", {
-                "values": " and ".join(tests), "direction": direction}))
-    return replace(estimate, contradictions=tuple(contradictions), warnings=tuple(warnings))
+    twice = {direction: tests for k, direction in enumerate(DIRECTIONS) if len(tests := [
+        each.in_words for each in CANTILEVER if value_key(each.name, k) in counted]) > 1}
+    return replace(estimate, contradictions=tuple(contradictions), warnings=(
+        *estimate.warnings, *(Finding("value_repeated", {
+            "values": " and ".join(tests), "direction": name}) for name, tests in twice.items())))
 
 
 def one_capture(reported: bool) -> str:

@@ -329,10 +329,9 @@ def test_copies_in_another_fabric_and_other_labels_are_named(words, tmp_path):
                                   ("two/c", "0", "fabric: Twill\n"), ("apart/a", "2", ""),
                                   ("apart/b", "0", "")):
         shutil.copytree(made / capture, tmp_path / "root" / place)
-        with (tmp_path / "root" / place / "capture.yaml").open("a") as file:
-            file.write(label)
-    file = tmp_path / "root" / "apart" / "b" / "capture.yaml"
-    file.write_text(re.sub("density_g_m2: .*", "density_g_m2: 210", file.read_text()))
+        file = tmp_path / "root" / place / "capture.yaml"
+        file.write_text(file.read_text() + label)
+    file.write_text(re.sub("density_g_m2: .*", "density_g_m2: 210", file.read_text()))  # apart/b
     infer.main([f"captures={tmp_path / 'root'}", f"out={tmp_path / 'out'}", *words[2:]])
     fabrics = rows(tmp_path / "out" / "fabrics.csv")
     assert [row["captures"] for row in fabrics] == ["1", "2"]  # without the copy two/c

@@ -40,7 +40,6 @@ WIDTH_DIFFERS = (0.08, 1.0)  # of the stated width, and mm, by which a strip is 
 ERROR_SHARE = 0.25  # of an extension, that its error may be
 TURNED = np.radians(3.0)  # that marks may be turned by a weight: beyond, a band is askew
 
-
 T = TypeVar("T", bound="TensionSet")
 
 
