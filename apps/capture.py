@@ -91,7 +91,7 @@ def main(config: CaptureConfig) -> None:
         return
     measured, faults = check(source, out)
     print("\n".join([*measured, *(f"warning: {fault}" for fault in faults), f"capture: {out}",
-                     f"picture: {out / PICTURE}"]))
+                     *[f"picture: {out / PICTURE}"] * (out / PICTURE).exists()]))
     if faults:
         raise InputError(f"{len(faults)} of {len(measured) + len(faults)} checks of {source} "
                          f"failed; docs/rig.md lists causes, {out / PICTURE} shows what was read")
@@ -103,7 +103,8 @@ def check(source: Path, out: Path) -> tuple[list[str], list[str]]:
     found = read_measured(source)
     if not isinstance(found, Captured):
         for name, content in ({PICTURE: found.shown()} | found.tables()).items():
-            replace_file(out / name, content)
+            if content:
+                replace_file(out / name, content)
         return [f"note: {line}" for line in texts(found.warnings)], []
     checks = check_capture(found.capture, out)
     return ([f"{one.name}: {one.value}" for one in checks if not one.warning],

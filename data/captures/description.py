@@ -61,13 +61,13 @@ def _period(dates: Sequence[str]) -> str:
     return _UNTIL.join(dict.fromkeys([days[0], days[-1]]))
 
 
-def _within(low: float, high: float, other: str = "") -> BeforeValidator:
-    """Takes a number from ``low`` to ``high`` or an ``other`` text, or several of them, as text."""
+def _within(low: float, high: float, other: str = "", slip: str = "") -> BeforeValidator:
+    """Takes numbers from ``low`` to ``high`` or an ``other`` text; ``slip``: what others may be."""
     def read(value: object) -> str:
         with suppress(ValueError):
             if all(one == other or low <= float(one) <= high for one in str(value).split(_OR)):
                 return str(value)
-        raise ValueError(f"is not {low:g} to {high:g}" + f", or {other}" * bool(other))
+        raise ValueError(f"is not {low:g} to {high:g}" + f", or {other}" * bool(other) + slip)
 
     return BeforeValidator(read)
 
@@ -84,8 +84,8 @@ class Labels(Schema):
     remarks: _Label | None = Field(None, title="anything else", description=_LABEL)
     temperature_c: Annotated[str, _within(-20, 60)] | None = Field(
         None, title="of the air, -20 to 60 °C")
-    humidity_percent: Annotated[str, _within(0, 100)] | None = Field(
-        None, title="relative, of the air, 0 to 100")
+    humidity_percent: Annotated[str, _within(1, 100, slip="; a share?")] | None = Field(
+        None, title="relative, of the air, 1 to 100")
     conditioning_h: Annotated[str, _within(0, 1000, _STANDARD)] | None = Field(
         None, title=f"hours in this air before the test, or {_STANDARD}, by that standard")
 

@@ -9,6 +9,7 @@ import numpy as np
 from common.findings import Finding
 from common.types import Density
 from data.fabrics.nuisances import KINDS
+from data.readings.cantilever import QUANTITIES as CANTILEVER
 from data.readings.known import Known
 from drapenet.evidence.combine import posterior
 from drapenet.evidence.source import Source, of_values, value_key
@@ -18,7 +19,7 @@ from drapenet.network.checkpoint import Header
 from drapenet.network.inputs import Stated
 from drapenet.network.predict import Draws
 from drapenet.result.estimate import Estimate, make_estimate
-from sim.material import REFERENCE_DENSITY
+from sim.material import DIRECTIONS, REFERENCE_DENSITY
 
 _MEMBRANE = "membrane_n_per_m", 0
 
@@ -41,7 +42,12 @@ def combine(
         draws = replace(draws, cloth=cloth_of_state(found.states))
         contradictions = [*contradictions, *found.contradictions]
     estimate = make_estimate(draws, density=density, header=header)
-    return replace(estimate, contradictions=tuple(contradictions))
+    counted = {one.key for one in sources} - {one.source for one in contradictions}
+    twice = {direction: tests for k, direction in enumerate(DIRECTIONS) if len(tests := [
+        each.in_words for each in CANTILEVER if value_key(each.name, k) in counted]) > 1}
+    return replace(estimate, contradictions=tuple(contradictions), warnings=(
+        *estimate.warnings, *(Finding("value_repeated", {
+            "values": " and ".join(tests), "direction": name}) for name, tests in twice.items())))
 
 
 def one_capture(reported: bool) -> str:

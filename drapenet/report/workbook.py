@@ -105,7 +105,8 @@ def _fill(
     """Write a sheet of ``columns`` with their number formats."""
     head = book.add_format({"bold": True, "text_wrap": True, "valign": "top", "bottom": 1})
     for column, (name, text) in enumerate(columns.items()):
-        sheet.write_string(0, column, name.replace("_", " "), head)
+        name = name.replace("temperature_c", "temperature [°C]").replace("_percent", " [%]")
+        sheet.write_string(0, column, name.replace("ning_h", "ning [h]").replace("_", " "), head)
         sheet.set_column(column, column, 11 if column else 24,
                          book.add_format({"num_format": text}))
     for row, values in enumerate(rows, start=1):

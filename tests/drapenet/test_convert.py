@@ -36,6 +36,8 @@ def test_readings_of_a_fabric_come_back_from_the_files_of_tools(tmp_path):
                 name: readings(cloth, name) for name in ("bending_length_mm", "overhang_mm")})
     written = json.loads((tmp_path / "fabric.fab.json").read_text("utf-8"))["custom"]
     stated = json.loads((tmp_path / "estimate.json").read_text("utf-8"))
+    assert [one["code"] for one in stated["warnings"]] == 2 * ["value_repeated"]
+    assert "By 1 value of a tester. " in (tmp_path / "report.html").read_text("utf-8")
     card = written["browzwear"]
     for key, (yarns, true) in zip(("length", "width"), readings(
             cloth, "browzwear_bend_dyn_cm").items(), strict=True):

@@ -28,7 +28,6 @@ from drapenet.measured.tension.posterior import (
     MACHINE_ERROR,
     MeasuredExtension,
     TensionEvidence,
-    directions_of,
     tension_evidence,
 )
 from drapenet.measured.tension.record import TensionRecord
@@ -40,7 +39,6 @@ AIM = 0.1
 WIDTH_DIFFERS = (0.08, 1.0)  # of the stated width, and mm, by which a strip is seen wider or not
 ERROR_SHARE = 0.25  # of an extension, that its error may be
 TURNED = np.radians(3.0)  # that marks may be turned by a weight: beyond, a band is askew
-
 
 T = TypeVar("T", bound="TensionSet")
 
@@ -84,8 +82,8 @@ class TensionSet(Measured):
             "strips": len(self.strips), "measured": [DIRECTIONS[k] for k in found.measured],
             "shear_n_per_m": intervals(shear),
             "stretch_n_per_m": {"warp": intervals(warp), "weft": intervals(weft)},
-            "friction_n_per_m": {name: float(found.friction[DIRECTIONS.index(name)])
-                                 for name in directions_of(self.strips)},
+            "friction_n_per_m": {DIRECTIONS[strip.direction]: float(found.friction[strip.direction])
+                                 for strip in self.strips},
             "weight_for_10_percent_g": self.loads(),
             "readings": {key: intervals(values) for key, values in found.readings().items()},
             "along_yarns": self.needs_warp, "findings": [*self.warnings, *found.findings],
@@ -109,7 +107,7 @@ class TensionSet(Measured):
         return {DIRECTIONS[strip.direction]: float(1e3 * strip.width / STANDARD_GRAVITY * (
             found.friction[strip.direction]
             + strip.needed((warp, weft, shear), found.poisson, AIM)))
-            for strip in reversed(self.strips)}
+            for strip in reversed(self.strips) if not strip.typed}
 
 
 def read_tension(folder: str | Path) -> TensionSet:
@@ -136,7 +134,7 @@ def described_strips(
     strips = [_measured(strip, description, read.get(k))
               for k, strip in enumerate(description.tension)]
     strips += [MeasuredExtension(k, by.load, by.error, by.width, by.length, 0.0,
-                                 by.length * percent / 100, MACHINE_ERROR, by.name)
+                                 by.length * percent / 100, MACHINE_ERROR, by.name, typed=True)
                for by, k, percent in description.by_machines]
     found = kind(**description.common(folder), strips=tuple(strips),
                  stiffness=description.stiffness, photographs=read, **further)

@@ -63,6 +63,7 @@ class MeasuredExtension:
     extension: Metres  # of the gauge
     error: Metres  # of the extension
     specimen: str = ""
+    typed: bool = False  # the value of a tester
 
     def reach(self, stiffness: tuple[np.ndarray, np.ndarray, np.ndarray], poisson: float
               ) -> np.ndarray:
@@ -77,11 +78,6 @@ class MeasuredExtension:
         strain = self.extension / self.gauge if strain is None else strain
         return float(load(strain / self.reach(stiffness, poisson),
                           compliance(self.direction, stiffness, poisson)))
-
-
-def directions_of(strips: Sequence[MeasuredExtension]) -> list[str]:
-    """Directions of strips."""
-    return list(dict.fromkeys(DIRECTIONS[strip.direction] for strip in strips))
 
 
 @dataclass(frozen=True)

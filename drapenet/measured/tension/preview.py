@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from data.readings.quantity import STANDARD_GRAVITY
 from drapenet.measured.tension.law import compliance, load
 from drapenet.measured.tension.photograph import PhotographedExtension
-from drapenet.measured.tension.posterior import MeasuredExtension, TensionEvidence, directions_of
+from drapenet.measured.tension.posterior import MeasuredExtension, TensionEvidence
 from sim.material import DIRECTIONS
 
 _WIDE, _HIGH, _CURVES_HIGH = 10.4, 3.2, 3.2  # inches
@@ -40,7 +40,7 @@ def tension_figure(
         for k, (number, pair) in enumerate(photographs.items()):
             for state in (0, 1):
                 _photograph(panels[2 * k + state], pair, state, strips[number])
-    directions = directions_of(strips)
+    directions = list(dict.fromkeys(DIRECTIONS[strip.direction] for strip in strips))
     for panel, name in zip(parts[1].subplots(1, len(directions), squeeze=False)[0], directions,
                            strict=True):
         _loads(panel, [strip for strip in strips if DIRECTIONS[strip.direction] == name], found)

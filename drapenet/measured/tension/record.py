@@ -48,7 +48,9 @@ class TensionRecord(Record):
             REFERENCE_DENSITY / self.density_g_m2) if all(stretch) else None
 
     def counted(self) -> tuple[int, str, str]:
-        return self.strips, "strip under a weight", "strips under weights"
+        return (self.strips, "strip under a weight", "strips under weights") if (
+            self.weight_for_10_percent_g) else (
+            self.strips, "value of a tester", "values of testers")
 
     @property
     def rows(self) -> list[tuple[str, str, Quantity]]:
@@ -71,4 +73,4 @@ class TensionRecord(Record):
         loads = ", ".join(f"{direction} {value:.0f} g" for direction, value in
                           self.weight_for_10_percent_g.items())
         found += [f"weight that stretches these strips by 10 %: {loads}"] * bool(loads)
-        return [f"by strips under weights: {line}" for line in found]
+        return [f"by {self.counted()[2]}: {line}" for line in found]
