@@ -3,8 +3,8 @@
     python -m benchmarks                            # this release, and the drape coefficient alone
     python -m benchmarks estimator=MODULE:FUNCTION  # yours, from this folder or PYTHONPATH
 
-FUNCTION takes a capture and returns samples (S, 6) of its moduli. README.md beside this file states
-the protocol. Prints a table and writes the scores."""
+FUNCTION takes a capture and returns samples (S, 6) of its moduli (README.md).
+"""
 
 import common.interrupt  # noqa: F401
 

@@ -144,8 +144,7 @@ def export_beside(file: Path, names: Sequence[str]) -> str:
 def export_all(
     material: Material, names: Iterable[str], folder: Path
 ) -> tuple[list[Path], list[str]]:
-    """Write the targets ``names`` that can be written to a folder, as :func:`files_of`; their
-    paths, and the sentences of the others."""
+    """Write :func:`files_of` to a folder; their paths, and the sentences of what refuses."""
     files, refusals = files_of(material, names)
     for name, data in files.items():
         replace_file(folder / name, data)

@@ -138,7 +138,7 @@ def make_maps(
             for all drapes of a fabric.
         outlines: further neighbours of each fabric, of which there are outlines only.
         pictures: whether the maps have the depth views as pictures, eight times as many bytes.
-        tester: of whose drapes alone, with any rim of the plate, there are maps.
+        tester: of whose drapes alone, with any rim, there are maps.
     """
     options = {"setups": setups, "captures": captures, "seed": seed, "neighbours": neighbours,
                "outlines": outlines, "pictures": pictures, **({"tester": tester} if tester else {})}

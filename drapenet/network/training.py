@@ -296,7 +296,7 @@ def calibrate(checkpoint: Path, captures: CaptureSet, config: TrainConfig) -> No
         return
     if len(captures) < LEAST_CALIBRATING:
         print(f"warning: {len(captures)} fabrics to validate with, fewer than {LEAST_CALIBRATING}: "
-              "the network's intervals are not calibrated, and may be far too narrow")
+              "intervals are not calibrated")
         return
     model = load_model(header)
     rng = np.random.default_rng(config.seed)

@@ -1,7 +1,7 @@
 """Share of faulty captures that are corrected, refused or reported with a warning.
 
-Drapes of a dataset are captured in four views (``configs/setup/real.yaml``), and faults that users
-may cause are applied to the captures. Captures without faults should have no warning.
+Drapes of a dataset are captured in four views (``configs/setup/real.yaml``), and faulted as users
+may. Captures without faults should have no warning.
 """
 
 from collections import Counter
@@ -181,8 +181,7 @@ def converged_drapes(root: Path, rig: Rig) -> Iterator[tuple[Shard, int]]:
         for row in np.flatnonzero(shard.column("status") == "converged"):
             if replace(shard.rig(row), rim=0.0) == rig:
                 yield shard, row
-    raise InputError(f"{root} has too few drapes on the tester {rig.name}; give a larger dataset, "
-                     "or smaller sound= and spoiled=")
+    raise InputError(f"{root} has too few drapes on {rig.name}; give a larger dataset")
 
 
 class Keys(PlainKeys):

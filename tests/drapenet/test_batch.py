@@ -330,8 +330,9 @@ def test_copies_in_another_fabric_and_other_labels_are_named(words, tmp_path):
                                   ("apart/b", "0", "")):
         shutil.copytree(made / capture, tmp_path / "root" / place)
         file = tmp_path / "root" / place / "capture.yaml"
-        file.write_text(file.read_text() + label)
-    file.write_text(re.sub("density_g_m2: .*", "density_g_m2: 210", file.read_text()))  # apart/b
+        density = 210 if place == "apart/b" else 150
+        file.write_text(re.sub("density_g_m2: .*", f"density_g_m2: {density}", file.read_text())
+                        + label)
     infer.main([f"captures={tmp_path / 'root'}", f"out={tmp_path / 'out'}", *words[2:]])
     fabrics = rows(tmp_path / "out" / "fabrics.csv")
     assert [row["captures"] for row in fabrics] == ["1", "2"]  # without the copy two/c

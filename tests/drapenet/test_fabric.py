@@ -42,8 +42,9 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 TWILL, PHOTOGRAPH = (EXAMPLES / "captures" / name for name in ("twill", "twill_photograph"))
 RIGHT = {"bending_length_mm": {"warp": 28.0, "weft": 19.5}}
 EXCHANGED = {"bending_length_mm": {"warp": 17.0, "weft": 31.0}}
-BIAS = {"direction": "bias", "width_mm": 50, "gauge_mm": 100, "load_g": 50, "extension_mm": 4.1}
-WARP = {"direction": "warp", "width_mm": 50, "gauge_mm": 200, "load_g": 500, "extension_mm": 4.2}
+STRIP = {"direction": "warp", "width_mm": 50}
+BIAS = STRIP | {"direction": "bias", "gauge_mm": 100, "load_g": 50, "extension_mm": 4.1}
+WARP = STRIP | {"gauge_mm": 200, "load_g": 500, "extension_mm": 4.2}
 HEAVIER = BIAS | {"load_g": 1000, "extension_mm": 8}  # which contradicts the other one
 
 
