@@ -47,7 +47,7 @@ QUANTITIES = (
              "bending stiffness by the supplier [µN·m]", limits=(0.05, 2e4)),
     # Assumed: the curvature, and the scatter of specimens.
     Quantity("clo_bending_g_mm2_per_s2", 3, 0.20, _by_clo, "bending by CLO's kit [g·mm²/s²]",
-             limits=(101.0, MAX_CLO)),  # below are numbers of CLO's slider, 0 to 100
+             limits=(101.0, MAX_CLO)),  # its slider has 0 to 100
     Quantity("browzwear_bend_dyn_cm", 3, 0.20, _by_browzwear, "bend by Browzwear's FAB [dyn·cm]",
              limits=(0.5, 2e5)),
 )

@@ -126,9 +126,8 @@ def files_of(material: Material, names: Iterable[str]) -> tuple[dict[str, bytes]
 
 
 def export_beside(file: Path, names: Sequence[str]) -> str:
-    """Write the targets ``names`` beside an ``estimate.json``, and those again that are there of an
-    estimate before; lines with the files' names, what refuses, and what tools' defaults stand for.
-    """
+    """Write the targets ``names`` beside an ``estimate.json``, and those again that are there of
+    one before; lines with the files' names, what refuses, and what is not known."""
     material = read_material(file)
     before = [name for name, target in TARGETS.items() if (file.parent / target.file).exists()]
     written, refusals = export_all(material, dict.fromkeys([*names, *before]), file.parent)

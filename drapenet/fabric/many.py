@@ -169,7 +169,7 @@ def _twins_elsewhere(
     first: dict[str, Entry] = {}
     found: dict[Path, list[Finding]] = {}
     for entry in sorted((entry for entry in entries if entry.place in documents),
-                        key=lambda entry: entry.fabric in apart):  # a later sound one finds these
+                        key=lambda entry: entry.fabric in apart):
         other = first_with(first, documents[entry.place].capture.pictures_sha256, entry)
         if other and other.fabric != entry.fabric:
             for one, twin in ((entry, other), (other, entry)):

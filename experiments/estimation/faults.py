@@ -175,7 +175,7 @@ def find_warnings(
 
 
 def converged_drapes(root: Path, rig: Rig) -> Iterator[tuple[Shard, int]]:
-    """Converged drapes of a dataset on a ``rig``, with any rim, by shard and row."""
+    """Converged drapes on a ``rig``, with any rim, by shard and row."""
     for name in finished_manifest(root)["shards"]:
         shard = Shard(root / name)
         for row in np.flatnonzero(shard.column("status") == "converged"):
