@@ -35,6 +35,7 @@ def main(config: ExportConfig) -> None:
     if not config.to:
         raise InputError(f"to= is missing; give one of {', '.join(TARGETS)} or all")
     names, path = targets_named(config.to), Path(config.estimate)
+    refusals: list[str] = []
     material = read_material(path, curvature_1_m=config.curvature_1_m, mesh=config.mesh,
                              edge_mm=config.edge_mm, name=config.name)
     out = Path(config.out or (path if path.is_dir() else path.parent))
@@ -43,7 +44,7 @@ def main(config: ExportConfig) -> None:
             raise InputError(f"out={out}: the file for to={names[0]} ends in {usual}; give such a "
                              "name, or a folder")
         require_file(out)
-        written, refusals = export(material, names[0], out), []
+        written = export(material, names[0], out)
     else:
         require_folder(out)
         written, refusals = export_all(material, names, out)

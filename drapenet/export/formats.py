@@ -116,7 +116,8 @@ def export(material: Material, name: str, out: Path) -> list[Path]:
 def files_of(material: Material, names: Iterable[str]) -> tuple[dict[str, bytes], list[str]]:
     """Files of the targets ``names`` under their usual names, and the sentences of those that
     refuse."""
-    files, refusals = {}, []
+    files: dict[str, bytes] = {}
+    refusals = []
     for target in (TARGETS[name] for name in names):
         try:
             files |= target.write(material, target.file)
