@@ -126,7 +126,7 @@ def test_an_extended_training_is_the_same_however_it_was_interrupted(
 def test_a_training_begins_with_the_weights_of_a_checkpoint(words, trained, tmp_path):
     start = trained / "drapenet.safetensors"
     begun = last(*words, f"start={start}", "optim.learning_rate=1e-12", "epochs=1",
-                 f"out={tmp_path / 'begun'}", "drapes=2", "seed=9")
+                 f"out={tmp_path / 'begun'}", "fabrics=12", "seed=9")
     train.main(begun)
     first, second = (read_header(folder / "drapenet.safetensors")
                      for folder in (trained, tmp_path / "begun"))
