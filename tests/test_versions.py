@@ -55,11 +55,6 @@ def described(arrays: Mapping[str, np.ndarray]) -> Described:
     return found
 
 
-def shapes(arrays: Mapping[str, np.ndarray]) -> Described:
-    """Their types and shapes alone."""
-    return {name: f"{array.dtype} {array.shape}" for name, array in arrays.items()}
-
-
 def shard(folder: Path) -> Shard:
     """A drape of one fabric on a coarse mesh."""
     config = DatasetConfig(1, SamplingConfig(seed=1), load_prior("gaussian"), edge=0.02)
@@ -90,12 +85,14 @@ def case(folder: Path) -> Described:
 
 
 def part(folder: Path) -> Described:
-    """Files of a source of a fabric; samples change with the weights."""
+    """Files of a source of a fabric, by weights that no training changes."""
     source = Source(place=ROOT / "examples/captures/twill_photograph")
-    make_in_folder(source, folder, "", EstimateOptions(drapes=0),
-                   drapenet.network.checkpoint.BUNDLED)
+    checkpoint = save_untrained(folder / "untrained.safetensors")
+    folder /= "part"
+    folder.mkdir()
+    make_in_folder(source, folder, "", EstimateOptions(drapes=0), checkpoint)
     return {"files": " ".join(sorted(file.name for file in folder.iterdir())),
-            **shapes(load_arrays(folder, "samples")),
+            **described(load_arrays(folder, "samples")),
             **described(load_arrays(folder, "observation"))}
 
 
@@ -103,7 +100,7 @@ def checkpoint(folder: Path) -> Described:
     """Keys and tensors; initial weights are PyTorch's."""
     file = save_untrained(folder / "untrained.safetensors")
     return {"keys": " ".join(sorted(description(file))),
-            **shapes(load_file(file))}
+            **{name: f"{one.dtype} {one.shape}" for name, one in load_file(file).items()}}
 
 
 ARTEFACTS: dict[str, tuple[int, Callable[[Path], Described]]] = {

@@ -106,11 +106,13 @@ def targets_named(words: str, key: str = "to") -> list[str]:
 
 def export(material: Material, name: str, out: Path) -> list[Path]:
     """Write a target's file to ``out`` and its further files beside it; their paths."""
-    files = {out.with_name(file): data
-             for file, data in TARGETS[name].write(material, out.name).items()}
-    for file, data in files.items():
-        replace_file(file, data)
-    return list(files)
+    return _written(TARGETS[name].write(material, out.name), out.parent)
+
+
+def _written(files: Mapping[str, bytes], folder: Path) -> list[Path]:
+    for name, data in files.items():
+        replace_file(folder / name, data)
+    return [folder / name for name in files]
 
 
 def files_of(material: Material, names: Iterable[str]) -> tuple[dict[str, bytes], list[str]]:
@@ -146,6 +148,4 @@ def export_all(
 ) -> tuple[list[Path], list[str]]:
     """Write :func:`files_of` to a folder; their paths, and the sentences of what refuses."""
     files, refusals = files_of(material, names)
-    for name, data in files.items():
-        replace_file(folder / name, data)
-    return [folder / name for name in files], refusals
+    return _written(files, folder), refusals

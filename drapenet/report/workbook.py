@@ -21,6 +21,8 @@ QUANTITIES = {"alpha_uN_m": ("α", "µN·m", "0.0"), "beta_nN_m2": ("β", "nN·m
 """Name, unit and number format of quantities along a direction, by their key in the document."""
 STRETCH = ("stretch, of bias: shear", "N/m", "0.0")
 """The same of what strips under weights measure."""
+CONDITIONS = {"temperature_c": "temperature [°C]", "humidity_percent": "humidity [%]",
+              "conditioning_h": "conditioning [h]"}
 FAILED = ("fabric", "sample", "capture", "reason")
 NOTES = (
     "Each line is a direction: warp, bias and weft, or stiff, bias and soft where the warp was "
@@ -105,8 +107,7 @@ def _fill(
     """Write a sheet of ``columns`` with their number formats."""
     head = book.add_format({"bold": True, "text_wrap": True, "valign": "top", "bottom": 1})
     for column, (name, text) in enumerate(columns.items()):
-        name = name.replace("temperature_c", "temperature [°C]").replace("_percent", " [%]")
-        sheet.write_string(0, column, name.replace("ning_h", "ning [h]").replace("_", " "), head)
+        sheet.write_string(0, column, CONDITIONS.get(name, name.replace("_", " ")), head)
         sheet.set_column(column, column, 11 if column else 24,
                          book.add_format({"num_format": text}))
     for row, values in enumerate(rows, start=1):

@@ -137,9 +137,9 @@ class Database:
                            f"({', '.join('?' * len(row))})", _stored(row)))
 
     def change(self, table: str, identity: str, **values: object) -> None:
-        """Change columns; an estimate has neither stage nor progress after its end."""
+        """Change columns; an estimate has no stage after its end."""
         if table == "estimate" and values.get("state") in ENDED:
-            values = {"stage": None, "progress": None, "ended": time.time()} | values
+            values = {"stage": None, "ended": time.time()} | values
         self._write((f"UPDATE {table} SET {', '.join(f'{key} = ?' for key in values)} "
                      "WHERE id = ?", (*_stored(values), identity)))
 

@@ -7,7 +7,7 @@ CREATE TABLE IF NOT EXISTS fabric (
     id TEXT PRIMARY KEY, name TEXT NOT NULL, notes TEXT NOT NULL, created REAL NOT NULL);
 CREATE TABLE IF NOT EXISTS estimate (
     id TEXT PRIMARY KEY, fabric TEXT NOT NULL REFERENCES fabric ON DELETE CASCADE,
-    name TEXT NOT NULL, state TEXT NOT NULL, stage TEXT, progress TEXT, error TEXT,
+    name TEXT NOT NULL, state TEXT NOT NULL, stage TEXT, error TEXT,
     warnings TEXT NOT NULL DEFAULT '[]', estimate TEXT, curves TEXT, members TEXT, task TEXT,
     tries INTEGER NOT NULL DEFAULT 0, created REAL NOT NULL, ended REAL);
 -- Of an estimate, whose id it has: the preview of a garment.

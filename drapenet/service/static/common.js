@@ -9,6 +9,9 @@ export function element(kind, text = '', name = '') {
   return made;
 }
 
+// With a capital first letter.
+export const capital = (text) => text.replace(/^./, (letter) => letter.toUpperCase());
+
 export function link(address, text) {
   const made = element('a', text);
   made.href = address;
@@ -152,7 +155,7 @@ export function facts(estimate) {
     ['Seen', seen(estimate)],
     ['Known values', range([capture, ...(captures ?? []).map((one) => one.capture), ...(strips ?? []), ...(tension ? [tension] : []), ...(estimate.measured ?? [])].map((one) => known(one.known)))],
     ['Conditions', conditions(capture.labels ?? {})],
-    ...['date', 'operator', 'laboratory', 'camera', 'remarks'].map((key) => [key[0].toUpperCase() + key.slice(1), capture.labels?.[key]]),
+    ...['date', 'operator', 'laboratory', 'camera', 'remarks'].map((key) => [capital(key), capture.labels?.[key]]),
     ['Drape coefficient', captures ? range(captures.map((one) => percent(one.capture.drape_coefficient_percent)))
       : both(percent(capture.drape_coefficient_percent), percent(drape?.drape_coefficient_percent))],
     ['Stretch and shear', tension && stretched(tension)],

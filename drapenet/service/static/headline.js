@@ -1,6 +1,6 @@
 // The result at a glance: three numbers, a scale from chiffon to canvas, and what they mean.
 
-import { at, element, texts } from './common.js';
+import { at, capital, element, texts } from './common.js';
 
 const GRAVITY = 9.81; // m/s²
 // Fabrics by bending length, mm, which for a KES B is (B/ρg)^⅓, and where they are published.
@@ -62,7 +62,7 @@ export function showHeadline({ moduli, laboratory, capture, correlations, assume
   at('scale').setAttribute('aria-label', `stiffness at this weight, from ${MARKS[0][0]} to ${MARKS.at(-1)[0]}: ${near(place)}`);
   const over = Object.entries(laboratory).filter(([direction]) => direction !== 'bias')
     .map(([direction, { bending_length_mm: { median } }]) => `${(median / 5).toFixed(1)} cm along the ${direction}${/^w/.test(direction) ? '' : ' direction'}`);
-  at('meaning').textContent = `At ${Number(density.toPrecision(3))} g/m² it hangs ${near(place)}. A strip pushed over the edge of a table sinks to 41.5° once it sticks out by ${over.join(', ')}.${(assumed ?? []).filter(({ code }) => code === 'bending_usual').map(({ text }) => ` ${text[0].toUpperCase()}${text.slice(1)}.`).join('')}`;
+  at('meaning').textContent = `At ${Number(density.toPrecision(3))} g/m² it hangs ${near(place)}. A strip pushed over the edge of a table sinks to 41.5° once it sticks out by ${over.join(', ')}.${(assumed ?? []).filter(({ code }) => code === 'bending_usual').map(({ text }) => ` ${capital(text)}.`).join('')}`;
   at('next').textContent = next?.length ? `To know it better: ${next[0].measurement} (${next[0].minutes} min).` : '';
   at('numbers').hidden = false;
 }

@@ -3,7 +3,7 @@
 
 import { ask, at, element } from './common.js';
 import { isOverMat } from './fields.js';
-import { testerName } from './support.js';
+import { testerName, topOf } from './support.js';
 import { plainly } from './words.js';
 
 const DELAY = 400; // ms after the last change
@@ -116,7 +116,7 @@ function show(found) {
 // What one picture over the mat seldom shows, and several from different places do; and what none shows.
 function unsure() {
   if (seen.cameras?.length !== 1 || !isOverMat()) return '';
-  const top = /(?:support|cylinder)([\d.]+)/.exec(testerName())?.[1];
+  const top = topOf(testerName());
   return [top && `Is the yellow circle, ${top} mm, on the edge of the top?`, form.elements.arrow.value || form.elements.warp_direction_deg.value.trim() ? '' : 'Does the warp lie along the mat’s arrow?',
     `Is the top ${form.elements.plate_height_mm.value.trim()} mm over the mat? One picture seldom shows a wrong height, another from one side does.`].filter(Boolean).map((question) => ` ${question}`).join('');
 }

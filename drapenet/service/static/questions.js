@@ -1,6 +1,6 @@
 // The questions: which fields others make necessary, which are still open, and what the answers say.
 
-import { at, element, tester as inWords, unfold } from './common.js';
+import { at, capital, element, tester as inWords, unfold } from './common.js';
 import { chosen, density, drapes, form, isCertainlyPhotograph, isDrape, isOtherSize, isOverMat, isPhotograph, isRectangle, isScan, isWeighed, kind, suffix, usesSetup } from './fields.js';
 import { fileFault, testerFault, unitFault } from './faults.js';
 import { areaOf, setTester, testerName } from './support.js';
@@ -63,7 +63,7 @@ export function showAnswers() {
   const name = testerName();
   const one = name.includes('_support180') ? 'disc300_support180' : name.startsWith('disc') ? 'disc254_support127' : name && 'square300_cylinder100';
   for (const card of form.elements.support) card.checked = card.value === one;
-  at('support-said').textContent = areaOf(name) ? `${inWords(name).replace(' on ', ' on a top of ').replace(/^./, (letter) => letter.toUpperCase())}.` : '';
+  at('support-said').textContent = areaOf(name) ? `${capital(inWords(name)).replace(' on ', ' on a top of ')}.` : '';
   at('of-tins')?.toggleAttribute('hidden', one !== 'disc254_support127');
   at('other-unit').textContent = unitFault();
   at('other-unit').hidden = !unitFault();

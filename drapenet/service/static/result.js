@@ -1,6 +1,6 @@
 // The result of an estimate: followed until its fabric is settled, shown, exported.
 
-import { ask, at, element, facts, link, own, QUANTITIES, reveal, save, texts } from './common.js';
+import { ask, at, capital, element, facts, link, own, QUANTITIES, reveal, save, texts } from './common.js';
 import { showAlike } from './alike.js';
 import { addTo, ended } from './form.js';
 import { showHeadline } from './headline.js';
@@ -76,7 +76,6 @@ function reset() {
   for (const id of ['warnings', 'cards']) at(id).replaceChildren();
   asked += 1;
   at('progress').hidden = false;
-  at('progress').removeAttribute('value');
   at('title').textContent = 'Sending';
   at('title').focus({ preventScroll: true });
   reveal('result');
@@ -89,7 +88,7 @@ function show(id, content) {
   const finished = content.state === 'done';
   at('progress').hidden = ENDED.includes(content.state);
   at('status').textContent = finished ? '' : content.state === 'queued' ? 'Waiting; the first estimate after a start of the service takes up to a minute more …'
-    : content.state === 'running' ? stage(content) : '';
+    : content.state === 'running' ? `${STAGES[content.stage] ?? 'Working'} …` : '';
   at('failure').textContent = plainly(content.error ?? '');
   if (before?.state !== content.state) ended(id, content);
   const warnings = content.estimate?.warnings ?? content.warnings ?? [];
@@ -158,17 +157,6 @@ function showContradictions(id, captures) {
     .map(({ text }) => element('li', `${one.name}: ${plainly(text)}`, 'contradiction'))));
 }
 
-function stage(content) {
-  const progress = content.progress;
-  if (!progress) {
-    at('progress').removeAttribute('value');
-    return `${STAGES[content.stage] ?? 'Working'} …`;
-  }
-  at('progress').max = progress.expected;
-  at('progress').value = progress.made;
-  return `${STAGES[content.stage]}: ${progress.made} of about ${progress.expected} drapes`;
-}
-
 function showNumbers(estimate) {
   at('facts').replaceChildren(...facts(estimate).flatMap(([name, text]) => [element('dt', name), element('dd', text)]));
   at('heads').replaceChildren(element('th'), ...QUANTITIES.map(([, , name, unit]) => {
@@ -194,7 +182,7 @@ function showNumbers(estimate) {
     }
     return row;
   }));
-  const poor = [...estimate.mostly_usual ?? [], ...estimate.assumed ?? []].map(({ text }) => `${text[0].toUpperCase()}${text.slice(1)}. `).join('')
+  const poor = [...estimate.mostly_usual ?? [], ...estimate.assumed ?? []].map(({ text }) => `${capital(text)}. `).join('')
     .replaceAll('beta', 'β').replaceAll('alpha', 'α');
   const next = (estimate.next_measurements ?? []).map((one) => `${one.measurement}: α ${one.alpha_narrower_percent.toFixed()} %, β ${one.beta_narrower_percent.toFixed()} % (${one.minutes} min)`);
   at('poor').textContent = poor + (estimate.advice ?? []).map(({ text }) => `Advice: ${text}. `).join('')

@@ -25,6 +25,9 @@ export function setTester(name) {
   for (const [id, value] of Object.entries(isListed ? { rim } : { size, across, plate, rim })) at(id).value = value;
 }
 
+// Diameter of the top, mm, as text; undefined where it is not known.
+export const topOf = (name) => NAME.exec(name)?.[4];
+
 // Area of a specimen, m²; 0 where its sizes are not known.
 export function areaOf(name) {
   const [, specimen, size, across = size] = NAME.exec(name) ?? [];
